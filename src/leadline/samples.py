@@ -1,0 +1,144 @@
+"""What flows: sensor samples, detections, measurements and solutions.
+
+Everything here is a frozen, slotted value. Time is an integer count of nanoseconds (``t_ns``), so that a stamp goes
+through a recording and back unchanged; ``t_s`` is derived from it. World = the left camera's optical frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import IntEnum, StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+NS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class StereoFrame:
+    """One exposure of both cameras.
+
+    ``t_ns`` is the middle of the exposure, ``arrival_ns`` when the frame reached us (None: at ``t_ns``). ``left_t_ns`` and
+    ``right_t_ns`` are set where the two exposures are known to differ. Images are (H, W, 3) uint8 BGR or (H, W) uint8.
+    ``encoded`` holds the source's own compressed bytes (left, right), so that a recording is bit for bit the source.
+    """
+
+    t_ns: int
+    left: Image
+    right: Image
+    arrival_ns: int | None = None
+    left_t_ns: int | None = None
+    right_t_ns: int | None = None
+    name: str = ""  # the left image's file name, the key of `--boxes`
+    encoded: tuple[bytes, bytes] | None = None
+
+    @property
+    def t_s(self) -> float:
+        return self.t_ns / NS_PER_S
+
+
+@dataclass(frozen=True, slots=True)
+class LaserRange:
+    """One raw reading of the rangefinder, before any correction (metres as the device says)."""
+
+    t_ns: int
+    range_m: float
+    quality: float | None = None
+    arrival_ns: int | None = None
+
+    @property
+    def t_s(self) -> float:
+        return self.t_ns / NS_PER_S
+
+
+Sample = StereoFrame | LaserRange
+
+
+@dataclass(frozen=True, slots=True)
+class Detection:
+    """A box around a target in one image: ``box_px`` = x, y, width, height (left, top of the box; COCO)."""
+
+    box_px: tuple[float, float, float, float]
+    score: float
+    label: str = "target"
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What really was, where it is known (simulation, measured stations). See the dive folder's ``truth.csv``."""
+
+    t_ns: int
+    position_m: tuple[float, float, float]
+    range_m: float
+
+
+class Kind(StrEnum):
+    """Where a measurement came from; the names of ``used`` and ``rejected`` in ``solutions.csv``."""
+
+    STEREO = "stereo"
+    SPOT = "spot"
+    LASER = "laser"
+    SIZE = "size"
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """A measurement of the target's state: z = h(x) + noise.
+
+    ``predict`` takes the target's vector x = (position (3,), shape (k,)) and gives h(x) (m,) and its Jacobian (m, 3 + k),
+    or None where x cannot give this measurement at all (the beam misses the target).
+    """
+
+    kind: Kind
+    t_ns: int
+    z: Array
+    cov: Array
+    predict: Callable[[Array], tuple[Array, Array] | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """A measurement that was turned away, and why; ``nis`` is its normalised innovation squared where one was formed."""
+
+    kind: Kind
+    t_ns: int
+    reason: str
+    nis: float | None = None
+
+
+class Stage(IntEnum):
+    SEARCHING = 0
+    BINOCULAR = 1
+    BOTH = 2
+    LASER = 3
+
+
+class Status(StrEnum):
+    VALID = "valid"
+    COASTING = "coasting"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """Where the target is at ``t_ns``. Arrays are None only when ``status`` is lost."""
+
+    t_ns: int
+    stage: Stage
+    status: Status
+    position_m: Array | None = None  # (3,)
+    cov_m2: Array | None = None  # (3, 3)
+    range_m: float | None = None
+    range_sigma_m: float | None = None
+    velocity_m_s: Array | None = None  # (3,)
+    used: tuple[Kind, ...] = ()
+    rejected: tuple[Rejected, ...] = field(default=())
+
+    @property
+    def t_s(self) -> float:
+        return self.t_ns / NS_PER_S
