@@ -2,15 +2,16 @@
 
 A target's vector is x = (position (3,), shape (k,)), in the left camera's frame, metres:
 
-| target   | position                              | shape, where it is estimated              | range                      |
-|----------|---------------------------------------|-------------------------------------------|----------------------------|
-| Sphere   | centre                                | radius                                    | to the nearest surface     |
-| Plane    | foot of the perpendicular from origin | -                                         | to the foot                |
-| Cylinder | axis point nearest the camera         | axis angle about the line of sight, radius | to the nearest surface     |
-| Surface  | nearest measured point                | how far behind its tangent plane the beam hits | to that point         |
+| target   | position                       | shape, where it is estimated                   | range to            |
+|----------|--------------------------------|------------------------------------------------|---------------------|
+| Sphere   | centre                         | radius                                         | the nearest surface |
+| Plane    | foot of the perpendicular      | -                                              | the foot            |
+| Cylinder | axis point nearest the camera  | axis angle about the line of sight, radius     | the nearest surface |
+| Surface  | nearest measured point         | how far behind its tangent plane the beam hits | that point          |
 
-``range`` and ``beam_length`` return a value and its gradient over x, which is all that an estimator needs. A plane is
-wholly described by its foot, and a cylinder's axis is perpendicular to the line to its nearest point: no state is spare.
+``range``, ``distance`` and ``beam_length`` give a value and its gradient over x: all that an estimator needs. A plane
+is wholly described by its foot, and a cylinder's axis is perpendicular to the line to its nearest point: no number of
+the state is spare.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from leadline.samples import Array
 
 
 class Target(Protocol):
-    """What the localizer needs of a shape."""
+    """What the localizer needs of a shape. Arrays of N points or beams in, arrays of N out."""
 
     @property
     def name(self) -> str: ...
@@ -44,31 +45,18 @@ class Target(Protocol):
         """Distance from the origin to the nearest point of the surface, and its gradient (3 + k,)."""
         ...
 
-    def beam_length(self, x: Array, origin_m: Array, direction: Array) -> tuple[float, Array] | None:
-        """Length of a beam from its origin to the surface, and its gradient; None where the beam passes by."""
+    def distance(self, x: Array, points_m: Array) -> tuple[Array, Array]:
+        """Signed distance (N,) of points (N, 3) from the surface, positive outside, and its gradient (N, 3 + k)."""
         ...
 
-    def nearest_point(self, x: Array) -> Array:
-        """(3,) the point of the surface nearest to the origin."""
+    def beam_length(self, x: Array, origins_m: Array, directions: Array) -> tuple[Array, Array]:
+        """Length (N,) of beams (N, 3), (N, 3) to the surface, and gradient (N, 3 + k); NaN where a beam passes by."""
         ...
-
-
-def _gradient(f: Callable[[Array], float | None], x: Array, step: float = 1e-6) -> Array | None:
-    """Central differences; None where the function is undefined beside x (the limb of a shape)."""
-    columns = []
-    for i in range(len(x)):
-        d = np.zeros_like(x)
-        d[i] = step
-        high, low = f(x + d), f(x - d)
-        if high is None or low is None:
-            return None
-        columns.append((high - low) / (2 * step))
-    return np.array(columns)
 
 
 @dataclass(frozen=True, slots=True)
 class Sphere:
-    """A ball. Without a diameter the radius is estimated, between a hand's width and a buoy's."""
+    """A ball. Without a diameter the radius is estimated, from a hand's width to a buoy's."""
 
     diameter_m: float | None = None
 
@@ -89,25 +77,23 @@ class Sphere:
 
     def range(self, x: Array) -> tuple[float, Array]:
         distance = float(np.linalg.norm(x[:3]))
-        gradient = np.concatenate([x[:3] / distance, -np.ones(len(x) - 3)])
-        return distance - self.radius_m(x), gradient
+        return distance - self.radius_m(x), np.concatenate([x[:3] / distance, -np.ones(len(x) - 3)])
 
-    def nearest_point(self, x: Array) -> Array:
-        point: Array = x[:3] * (1 - self.radius_m(x) / np.linalg.norm(x[:3]))
-        return point
+    def distance(self, x: Array, points_m: Array) -> tuple[Array, Array]:
+        outward = points_m - x[:3]
+        length = np.linalg.norm(outward, axis=1)
+        gradient = np.column_stack([-outward / length[:, None], *[-np.ones(len(length))] * (len(x) - 3)])
+        return length - self.radius_m(x), gradient
 
-    def beam_length(self, x: Array, origin_m: Array, direction: Array) -> tuple[float, Array] | None:
+    def beam_length(self, x: Array, origins_m: Array, directions: Array) -> tuple[Array, Array]:
         radius = self.radius_m(x)
-        to_centre = x[:3] - origin_m
-        along = float(to_centre @ direction)
-        inside = radius**2 - float(to_centre @ to_centre) + along**2
-        if inside <= 0 or along <= 0:
-            return None
-        length = along - np.sqrt(inside)
-        normal = (origin_m + length * direction - x[:3]) / radius
-        cosine = float(normal @ direction)  # negative; near zero at the limb
-        gradient = np.concatenate([normal / cosine, np.full(len(x) - 3, 1 / cosine)])
-        return float(length), gradient
+        to_centre = x[:3] - origins_m
+        along = np.einsum("ni,ni->n", to_centre, directions)
+        inside = radius**2 - np.einsum("ni,ni->n", to_centre, to_centre) + along**2
+        length = along - np.sqrt(np.where((inside > 0) & (along > 0), inside, np.nan))
+        normal = (length[:, None] * directions - to_centre) / radius
+        cosine = np.einsum("ni,ni->n", normal, directions)[:, None]  # negative; near zero at the limb
+        return length, np.column_stack([normal / cosine, *[1 / cosine] * (len(x) - 3)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,25 +114,28 @@ class Plane:
         distance = float(np.linalg.norm(x))
         return distance, x / distance
 
-    def nearest_point(self, x: Array) -> Array:
-        return x[:3]
+    def distance(self, x: Array, points_m: Array) -> tuple[Array, Array]:
+        length = float(np.linalg.norm(x[:3]))
+        along = points_m @ x[:3] / length
+        gradient = -points_m / length + (along / length**2)[:, None] * x[:3] + x[:3] / length
+        return length - along, gradient
 
-    def beam_length(self, x: Array, origin_m: Array, direction: Array) -> tuple[float, Array] | None:
-        return _beam_to_plane(x, origin_m, direction)
+    def beam_length(self, x: Array, origins_m: Array, directions: Array) -> tuple[Array, Array]:
+        return _beams_to_plane(x[:3], origins_m, directions)
 
 
-def _beam_to_plane(foot_m: Array, origin_m: Array, direction: Array) -> tuple[float, Array] | None:
+def _beams_to_plane(foot_m: Array, origins_m: Array, directions: Array) -> tuple[Array, Array]:
     """The plane p.foot = |foot|^2: L = (|foot|^2 - origin.foot) / (direction.foot)."""
-    towards = float(foot_m @ direction)
-    if towards <= 0.05 * np.linalg.norm(foot_m):  # within 3 degrees of grazing there is no useful reading
-        return None
-    length = (float(foot_m @ foot_m) - float(origin_m @ foot_m)) / towards
-    return length, (2 * foot_m - origin_m - length * direction) / towards
+    towards = directions @ foot_m
+    grazing = towards <= 0.05 * np.linalg.norm(foot_m)  # within 3 degrees there is no useful reading
+    towards = np.where(grazing, np.nan, towards)
+    length = (foot_m @ foot_m - origins_m @ foot_m) / towards
+    return length, (2 * foot_m - origins_m - length[:, None] * directions) / towards[:, None]
 
 
 @dataclass(frozen=True, slots=True)
 class Cylinder:
-    """A pile or pipe. The axis stands at ``angle`` about the line of sight (0: image-vertical)."""
+    """A pile or pipe. The axis stands at an angle about the line of sight (0: image-vertical)."""
 
     diameter_m: float | None = None
 
@@ -173,42 +162,46 @@ class Cylinder:
         axis: Array = np.cos(x[3]) * down + np.sin(x[3]) * np.cross(sight, down)
         return axis
 
-    def angle(self, position_m: Array, axis: Array) -> float:
-        """The inverse of ``axis``: the angle in (-pi/2, pi/2] of a given axis at a given position."""
-        sight = position_m / np.linalg.norm(position_m)
-        down = np.array([0.0, 1.0, 0.0]) - sight[1] * sight
-        angle = np.arctan2(axis @ np.cross(sight, down / np.linalg.norm(down)), axis @ down / np.linalg.norm(down))
-        return float((angle + np.pi / 2) % np.pi - np.pi / 2)
-
     def range(self, x: Array) -> tuple[float, Array]:
         distance = float(np.linalg.norm(x[:3]))
-        gradient = np.zeros_like(x)
-        gradient[:3] = x[:3] / distance
-        gradient[4:] = -1.0
+        gradient = np.concatenate([x[:3] / distance, [0.0], -np.ones(len(x) - 4)])
         return distance - self.radius_m(x), gradient
 
-    def nearest_point(self, x: Array) -> Array:
-        point: Array = x[:3] * (1 - self.radius_m(x) / np.linalg.norm(x[:3]))
-        return point
+    def distance(self, x: Array, points_m: Array) -> tuple[Array, Array]:
+        return self._distance(x, points_m), _gradient(lambda y: self._distance(y, points_m), x)
 
-    def beam_length(self, x: Array, origin_m: Array, direction: Array) -> tuple[float, Array] | None:
-        length = self._length(x, origin_m, direction)
-        gradient = _gradient(lambda y: self._length(y, origin_m, direction), x)
-        return None if length is None or gradient is None else (length, gradient)
+    def beam_length(self, x: Array, origins_m: Array, directions: Array) -> tuple[Array, Array]:
+        def length(y: Array) -> Array:
+            return self._length(y, origins_m, directions)
 
-    def _length(self, x: Array, origin_m: Array, direction: Array) -> float | None:
+        return length(x), _gradient(length, x)
+
+    def _distance(self, x: Array, points_m: Array) -> Array:
+        outward = points_m - x[:3]
+        outward = outward - np.outer(outward @ self.axis(x), self.axis(x))
+        return np.asarray(np.linalg.norm(outward, axis=1) - self.radius_m(x))
+
+    def _length(self, x: Array, origins_m: Array, directions: Array) -> Array:
         axis = self.axis(x)
-        across = direction - (direction @ axis) * axis
-        to_axis = x[:3] - origin_m
-        to_axis = to_axis - (to_axis @ axis) * axis
-        a, b = float(across @ across), float(across @ to_axis)
-        inside = b**2 - a * (float(to_axis @ to_axis) - self.radius_m(x) ** 2)
-        return None if inside <= 0 or a == 0 or b <= 0 else (b - float(np.sqrt(inside))) / a
+        across = directions - np.outer(directions @ axis, axis)
+        to_axis = x[:3] - origins_m
+        to_axis = to_axis - np.outer(to_axis @ axis, axis)
+        a = np.einsum("ni,ni->n", across, across)
+        b = np.einsum("ni,ni->n", across, to_axis)
+        inside = b**2 - a * (np.einsum("ni,ni->n", to_axis, to_axis) - self.radius_m(x) ** 2)
+        hits = (inside > 0) & (b > 0) & (a > 0)
+        return np.asarray((b - np.sqrt(np.where(hits, inside, np.nan))) / np.where(hits, a, 1.0))
+
+
+def _gradient(f: Callable[[Array], Array], x: Array, step: float = 1e-6) -> Array:
+    """Central differences of a function (N,) over x, as (N, len(x))."""
+    steps = step * np.eye(len(x))
+    return np.column_stack([(f(x + d) - f(x - d)) / (2 * step) for d in steps])
 
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """Nothing is assumed but that the nearest point's tangent plane faces us; where the beam hits lies ``bulge`` behind it."""
+    """Nothing is assumed but that the nearest point's tangent plane faces us; the beam's hit lies ``bulge`` behind it."""
 
     name: str = "surface"
 
@@ -224,12 +217,13 @@ class Surface:
         distance = float(np.linalg.norm(x[:3]))
         return distance, np.concatenate([x[:3] / distance, [0.0]])
 
-    def nearest_point(self, x: Array) -> Array:
-        return x[:3]
+    def distance(self, x: Array, points_m: Array) -> tuple[Array, Array]:
+        distance, gradient = Plane().distance(x, points_m)
+        return distance, np.column_stack([gradient, np.zeros(len(distance))])
 
-    def beam_length(self, x: Array, origin_m: Array, direction: Array) -> tuple[float, Array] | None:
-        plane = _beam_to_plane(x[:3], origin_m, direction)
-        return None if plane is None else (plane[0] + float(x[3]), np.concatenate([plane[1], [1.0]]))
+    def beam_length(self, x: Array, origins_m: Array, directions: Array) -> tuple[Array, Array]:
+        length, gradient = _beams_to_plane(x[:3], origins_m, directions)
+        return length + x[3], np.column_stack([gradient, np.ones(len(length))])
 
 
 def parse_target(text: str) -> Sphere | Plane | Cylinder | Surface:
@@ -250,4 +244,6 @@ def parse_target(text: str) -> Sphere | Plane | Cylinder | Surface:
             return Cylinder(diameter)
         case "plane" | "surface" if diameter is None:
             return Plane() if shape == "plane" else Surface()
-    raise ValueError(f"{text!r} is not a target; use sphere, sphere:DIAMETER, plane, cylinder, cylinder:DIAMETER or surface")
+    raise ValueError(
+        f"{text!r} is not a target; use sphere, sphere:DIAMETER, plane, cylinder, cylinder:DIAMETER or surface"
+    )
