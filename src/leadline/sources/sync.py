@@ -1,0 +1,48 @@
+"""Time order across sensors.
+
+Samples are given in order of arrival. Equal arrivals: the rangefinder before the frame, then by stamp, then as they
+stand in the file; so the order is a property of the data and a replay is the same run. A sample that is older than one
+already given is given all the same and told as late (latency makes that ordinary); the same sensor and stamp twice is
+one sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from leadline.samples import LaserRange, Sample, StereoFrame
+from leadline.wire.notice import NoticeKind
+from leadline.wire.stamps import format_stamp
+
+Tell = Callable[[NoticeKind, str, str], None]
+
+
+def arrival_ns(sample: Sample) -> int:
+    """When the sample reached us; its stamp where that is not known."""
+    return sample.t_ns if sample.arrival_ns is None else sample.arrival_ns
+
+
+def arrival_key(sample: Sample) -> tuple[int, int, int]:
+    """Sort key for samples of several sensors (use a stable sort)."""
+    return order_key(arrival_ns(sample), isinstance(sample, LaserRange), sample.t_ns)
+
+
+def order_key(arrival: int, is_laser: bool, t_ns: int) -> tuple[int, int, int]:
+    return arrival, 0 if is_laser else 1, t_ns
+
+
+def watch_order(samples: Iterator[Sample], tell: Tell) -> Iterator[Sample]:
+    """Pass samples on as they come; drop and tell repeated ones, tell late ones."""
+    given: dict[type, set[int]] = {StereoFrame: set(), LaserRange: set()}
+    newest_ns: int | None = None
+    for sample in samples:
+        where = f"{'laser' if isinstance(sample, LaserRange) else 'frame'} at {format_stamp(sample.t_ns)} s"
+        stamps = given[type(sample)]
+        if sample.t_ns in stamps:
+            tell(NoticeKind.REPEATED, where, "this sensor gave this stamp before")
+            continue
+        stamps.add(sample.t_ns)
+        if newest_ns is not None and sample.t_ns < newest_ns:
+            tell(NoticeKind.LATE, where, f"came after a sample of {format_stamp(newest_ns)} s")
+        newest_ns = sample.t_ns if newest_ns is None else max(newest_ns, sample.t_ns)
+        yield sample

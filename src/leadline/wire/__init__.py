@@ -1,0 +1,1 @@
+"""Formats and protocols that go both ways: dive folder, recording, solutions table."""
