@@ -201,7 +201,7 @@ def _gradient(f: Callable[[Array], Array], x: Array, step: float = 1e-6) -> Arra
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """Nothing is assumed but that the nearest point's tangent plane faces us; the beam's hit lies ``bulge`` behind it."""
+    """Nothing is assumed but a tangent plane at the nearest point; the beam hits ``bulge`` behind it."""
 
     name: str = "surface"
 
