@@ -1,0 +1,45 @@
+"""Small checks and chunking that the other geometry files share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from leadline.samples import Array
+
+CHUNK = 4096  # points: a dozen temporaries of this length stay in the second-level cache
+
+
+def as_rows(values: ArrayLike, width: int) -> Array:
+    """Values as an (N, width) float array; ValueError for another shape."""
+    rows = np.asarray(values, dtype=np.float64)
+    if rows.ndim != 2 or rows.shape[1] != width:
+        raise ValueError(f"expected an array of shape (N, {width}), got {rows.shape}")
+    return rows
+
+
+def as_vector(values: ArrayLike, name: str) -> Array:
+    """Three finite numbers as a read-only (3,) array; ValueError names the argument."""
+    vector = np.array(values, dtype=np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise ValueError(f"{name}: must be three finite numbers")
+    vector.flags.writeable = False
+    return vector
+
+
+def as_unit(values: ArrayLike, name: str) -> Array:
+    """A direction as a read-only unit (3,) array: a length within 0.001 of 1 is rounding and is put right, more is a fault."""
+    vector = as_vector(values, name)
+    length = float(np.linalg.norm(vector))
+    if abs(length - 1.0) > 1e-3:
+        raise ValueError(f"{name}: must be a unit vector, its length is {length:.6g}")
+    unit: Array = vector / length if abs(length - 1.0) > 1e-15 else vector
+    unit.flags.writeable = False
+    return unit
+
+
+def chunks(count: int) -> Iterator[slice]:
+    """Slices that cover ``range(count)`` in cache-sized pieces."""
+    return (slice(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK))
