@@ -1,0 +1,41 @@
+"""Image bytes to pixels and back. Pixels are (H, W, 3) uint8 BGR, or (H, W) uint8 where the file is grey."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from leadline.samples import Image
+
+_MAGIC = {b"\xff\xd8": "jpeg", b"\x89PNG": "png", b"BM": "bmp", b"II*\0": "tiff", b"MM\0*": "tiff"}
+SUFFIX = {"jpeg": ".jpg", "png": ".png", "bmp": ".bmp", "tiff": ".tiff"}
+
+
+def image_format(data: bytes) -> str:
+    """ "jpeg", "png", "bmp" or "tiff", from the first bytes; "" if none of these."""
+    return next((name for magic, name in _MAGIC.items() if data.startswith(magic)), "")
+
+
+def decode_image(data: bytes) -> Image:
+    """Raises ValueError with one clear line. A JPEG that was cut off is refused, not filled up with grey."""
+    if not data:
+        raise ValueError("the image file is empty")
+    # Older OpenCV decodes a cut JPEG without complaint. Not the first half: a thumbnail has an end marker too.
+    if data.startswith(b"\xff\xd8") and data.find(b"\xff\xd9", len(data) // 2) < 0:
+        raise ValueError("the JPEG is cut off")
+    try:
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYCOLOR)
+    except cv2.error:
+        pixels = None
+    if pixels is None:
+        raise ValueError("not a readable image")
+    return np.asarray(pixels, np.uint8)
+
+
+def encode_png(image: Image) -> bytes:
+    """Lossless; level 1, because a recording has to keep up with the cameras."""
+    return bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
+
+
+def encode_jpeg(image: Image, quality: int = 95) -> bytes:
+    return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes())

@@ -1,0 +1,82 @@
+"""CSV with a header line: rows as dictionaries, each with its place in the file."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from leadline.errors import InputError
+from leadline.wire.stamps import parse_stamp
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of a table. ``where`` names file and line ("dive/laser.csv row 7"; the header is row 1)."""
+
+    where: str
+    cells: dict[str, str]
+
+    def text(self, column: str) -> str:
+        """Raises ValueError where the cell is missing or empty."""
+        value = self.cells.get(column, "")
+        if not value:
+            raise ValueError(f"{column} is empty")
+        return value
+
+    def number(self, column: str) -> float:
+        """A finite number; raises ValueError."""
+        text = self.text(column)
+        try:
+            value = float(text)
+        except ValueError:
+            raise ValueError(f"{column} '{text}' is not a number") from None
+        if not math.isfinite(value):
+            raise ValueError(f"{column} is {text}")
+        return value
+
+    def stamp(self, column: str) -> int:
+        """Nanoseconds; raises ValueError."""
+        try:
+            return parse_stamp(self.text(column))
+        except ValueError as error:
+            raise ValueError(f"{column}: {error}") from None
+
+    def optional_stamp(self, column: str) -> int | None:
+        return self.stamp(column) if self.cells.get(column) else None
+
+
+def read_table(path: Path, expected: Sequence[Sequence[str]]) -> list[Row]:
+    """The rows of a CSV whose header holds all columns of one of ``expected``; more columns are welcome.
+
+    Raises InputError for a missing file, one that is not text, and a header that is none of those expected.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        lines = csv.reader(text.splitlines())
+        header = [name.strip() for name in next(lines, [])]
+        if not any(set(columns) <= set(header) for columns in expected):
+            raise InputError(
+                f"the header is '{','.join(header)}'" if header else "the file is empty",
+                str(path),
+                "the first line must be " + " or ".join(",".join(columns) for columns in expected),
+            )
+        return [_row(path, lines.line_num, header, cells) for cells in lines if any(cell.strip() for cell in cells)]
+    except FileNotFoundError:
+        wanted = " or ".join(",".join(columns) for columns in expected)
+        raise InputError(f"no {path.name}", str(path.parent), f"write it with the columns {wanted}") from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"cannot be read as CSV ({error})", str(path), "write it as UTF-8 text") from None
+
+
+def _row(path: Path, line: int, header: list[str], cells: list[str]) -> Row:
+    return Row(f"{path} row {line}", {name: cell.strip() for name, cell in zip(header, cells, strict=False)})
+
+
+def write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(rows)
