@@ -30,7 +30,7 @@ def as_vector(values: ArrayLike, name: str) -> Array:
 
 
 def as_unit(values: ArrayLike, name: str) -> Array:
-    """A direction as a read-only unit (3,) array: a length within 0.001 of 1 is rounding and is put right, more is a fault."""
+    """A direction as a read-only unit (3,) array; ValueError where its length is off by more than 0.001 (rounding)."""
     vector = as_vector(values, name)
     length = float(np.linalg.norm(vector))
     if abs(length - 1.0) > 1e-3:

@@ -1,7 +1,7 @@
 """The laser rangefinder's beam: raw = range_scale * group_index * L + range_offset_m, point = origin + L * direction.
 
-L is the geometric length in metres. Light travels at c / group_index, so a device that counts time reads group_index times
-too far in water.
+L is the geometric length in metres. Light travels at c / group_index, so a device that counts time reads group_index
+times too far in water.
 """
 
 from __future__ import annotations
@@ -46,6 +46,7 @@ class Beam:
         range_scale: float = 1.0,
         range_offset_m: float = 0.0,
         group_index: float = 1.0,
+        *,
         range_sigma_m: float = 0.003,
     ) -> None:
         object.__setattr__(self, "origin_m", as_vector(origin_m, "origin_m"))
@@ -85,7 +86,9 @@ class Beam:
         length, d = self.length_m(raw_m), self.direction[:, None]
         by_direction = length * (np.eye(3) - d @ d.T)  # only what turns the beam counts: |d| stays 1
         by_offset = -d / (self.range_scale * self.group_index)
-        return np.hstack([np.eye(3), by_direction, -d * length / self.range_scale, by_offset, -d * length / self.group_index])
+        return np.hstack(
+            [np.eye(3), by_direction, -d * length / self.range_scale, by_offset, -d * length / self.group_index]
+        )
 
     def point_covariance_m2(self, raw_m: float, parameters_cov: Array | None = None) -> Array:
         """(3, 3) from the reading's noise and, where given, the covariance (9, 9) of BEAM_PARAMETERS."""

@@ -1,7 +1,7 @@
 """Pinhole camera with OpenCV's distortion: 0, 4, 5, 8 or 12 coefficients (k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4]]]).
 
-Pixel (0, 0) is the centre of the top-left pixel. Source of the model: OpenCV, ``cv2.projectPoints`` ("Camera Calibration
-and 3D Reconstruction", detailed description).
+Pixel (0, 0) is the centre of the top-left pixel. Source of the model: OpenCV, "Camera Calibration and 3D
+Reconstruction", detailed description.
 """
 
 from __future__ import annotations
@@ -41,7 +41,10 @@ class Camera:
         coefficients = tuple(float(k) for k in np.ravel(np.asarray(self.distortion, dtype=np.float64)))
         if len(coefficients) not in _COUNTS:
             raise ValueError(f"distortion: must have 0, 4, 5, 8 or 12 coefficients, not {len(coefficients)}")
-        for name, value in [*((f.name, getattr(self, f.name)) for f in fields(self)[:6]), ("distortion", sum(coefficients))]:
+        for name, value in [
+            *((f.name, getattr(self, f.name)) for f in fields(self)[:6]),
+            ("distortion", sum(coefficients)),
+        ]:
             if not np.isfinite(value):
                 raise ValueError(f"{name}: must be finite")
             if name in ("fx", "fy", "width", "height") and value <= 0:
@@ -171,7 +174,7 @@ def _distort(x: Array, y: Array, k: tuple[float, ...], *, with_jacobian: bool) -
 
 
 def _fold_r2(k: tuple[float, ...]) -> float:
-    """The smallest r^2 at which r * radial(r^2) stops growing (its derivative's first positive root); inf if it never does."""
+    """The smallest r^2 at which r * radial(r^2) stops growing (first root of its derivative); inf if it never does."""
     k1, k2, _, _, k3, k4, k5, k6 = k[:8]
     top, below = np.polynomial.Polynomial([1, k1, k2, k3]), np.polynomial.Polynomial([1, k4, k5, k6])
     s = np.polynomial.Polynomial([0, 1])

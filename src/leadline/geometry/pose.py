@@ -15,7 +15,7 @@ from leadline.samples import Array
 class Pose:
     """A rotation ``R`` (3, 3) and a translation ``t_m`` (3,). ValueError unless R is a rotation within 0.001.
 
-    Printed matrices are rounded; R is replaced by the nearest true rotation, so that distances are kept to the last digit.
+    Printed matrices are rounded; R is replaced by the nearest true rotation, so that distances are kept.
     """
 
     R: Array

@@ -1,8 +1,9 @@
 """A camera behind a stack of flat, parallel layers (a flat port), and water or air beyond.
 
-In the plane of incidence, with the ray's slope q = tan(angle to the normal) in the air before the port, a layer of index m
-and thickness t moves the ray sideways by t * q * w, w = 1 / sqrt(m^2 + (m^2 - 1) q^2) (Snell's law). A point at distance
-r from the normal through the pupil is seen where the sum over air, layers and water equals r. Divided by r, with q = s r:
+In the plane of incidence, with the ray's slope q = tan(angle to the normal) in the air before the port, a layer of
+index m and thickness t moves the ray sideways by t * q * w, w = 1 / sqrt(m^2 + (m^2 - 1) q^2) (Snell's law). A point at
+distance r from the normal through the pupil is seen where the sum over air, layers and water equals r. Divided by r,
+with q = s r:
 
     g(s) = s * sum_i t_i w_i(s^2 r^2) - 1 = 0
 
@@ -30,8 +31,8 @@ _SETTLED = 1e-8  # a relative step below this leaves an error of its square
 class LayeredPort:
     """Flat layers between the camera's air and the outside.
 
-    normal: unit (3,), camera frame, towards the outside. distance_m: from the entrance pupil to the first face, along the
-    normal. layers: (thickness_m, index) from the inside out, any number. ValueError for a normal that is not a unit
+    normal: unit (3,), camera frame, towards the outside. distance_m: from the entrance pupil to the first face, along
+    the normal. layers: (thickness_m, index) from the inside out, any number. ValueError for a normal that is not a unit
     vector, a negative distance or thickness, or an index below 1.
     """
 
@@ -43,15 +44,23 @@ class LayeredPort:
     def __init__(
         self, normal: ArrayLike, distance_m: float, layers: ArrayLike | tuple[()] = (), outside_index: float = 1.0
     ) -> None:
-        stack = tuple((float(thickness), float(index)) for thickness, index in np.asarray(layers, np.float64).reshape(-1, 2))
+        stack = tuple(
+            (float(thickness), float(index)) for thickness, index in np.asarray(layers, np.float64).reshape(-1, 2)
+        )
         object.__setattr__(self, "normal", as_unit(normal, "normal"))
         object.__setattr__(self, "distance_m", float(distance_m))
         object.__setattr__(self, "layers", stack)
         object.__setattr__(self, "outside_index", float(outside_index))
-        for name, length in [("distance_m", self.distance_m), *((f"layers[{i}].thickness_m", t) for i, (t, _) in enumerate(stack))]:
+        for name, length in [
+            ("distance_m", self.distance_m),
+            *((f"layers[{i}].thickness_m", t) for i, (t, _) in enumerate(stack)),
+        ]:
             if not 0 <= length < np.inf:
                 raise ValueError(f"{name}: must be a finite length of 0 or more")
-        for name, index in [*((f"layers[{i}].index", m) for i, (_, m) in enumerate(stack)), ("outside_index", self.outside_index)]:
+        for name, index in [
+            *((f"layers[{i}].index", m) for i, (_, m) in enumerate(stack)),
+            ("outside_index", self.outside_index),
+        ]:
             if not 1 <= index < np.inf:
                 raise ValueError(f"{name}: must be at least 1")
 
@@ -84,9 +93,9 @@ class LayeredPort:
         return pixels, jacobian
 
     def rays(self, camera: Camera, pixels_px: ArrayLike) -> tuple[Array, Array]:
-        """Pixels (N, 2) -> where their rays leave the last face (N, 3), m, and unit directions outside (N, 3), camera frame.
+        """Pixels (N, 2) -> where their rays leave the last face (N, 3), m, and unit directions outside (N, 3).
 
-        NaN where the pixel does not look through the port.
+        Both in the camera's frame; NaN where the pixel does not look through the port.
         """
         xy = camera.normalise(pixels_px)
         sight = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
@@ -113,7 +122,7 @@ class LayeredPort:
         return [*inner, (outside_m, self.outside_index**2)]
 
     def _slopes(self, points_m: Array) -> tuple[Array, Array, Array]:
-        """The part of the points across the normal (3, N), the slope s per metre (N,), and the distance outside (N,)."""
+        """The part of the points across the normal (3, N), the slope s per metre (N,), the distance outside (N,)."""
         p = np.ascontiguousarray(points_m.T)
         along = self.normal @ p
         across = p - self.normal[:, None] * along

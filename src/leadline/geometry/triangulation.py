@@ -18,7 +18,7 @@ _SETTLED_M = 1e-10
 
 
 def midpoints(origins_a_m: Array, directions_a: Array, origins_b_m: Array, directions_b: Array) -> Array:
-    """The points (N, 3) halfway between two sets of rays where they pass closest; NaN where they meet behind an origin."""
+    """The points (N, 3) halfway between two sets of rays at their closest; NaN where that is behind an origin."""
     apart = origins_b_m - origins_a_m
     cosine = np.einsum("ij,ij->i", directions_a, directions_b)
     along_a = np.einsum("ij,ij->i", directions_a, apart)
@@ -40,8 +40,8 @@ def triangulate(
     """Maximum-likelihood points (N, 3) and their covariance (N, 3, 3), m^2, from two or more views.
 
     Gauss-Newton from ``start_m`` on all pixel residuals. ``sigma_px``: standard deviation of each pixel coordinate, one
-    number or one for each point (N,). The covariance is that of the pixels alone, sigma^2 (J^T J)^-1, to first order. NaN
-    where the start is NaN, where the step leaves the field of view, or where the views do not fix the point.
+    number or one for each point (N,). The covariance is that of the pixels alone, sigma^2 (J^T J)^-1, to first order.
+    NaN where the start is NaN, where the step leaves the field of view, or where the views do not fix the point.
     """
     measured = [as_rows(q, 2) for q in pixels_px]
     points = np.array(start_m, dtype=np.float64)
@@ -67,7 +67,7 @@ def _normal_equations(views: Sequence[View], measured: Sequence[Array], points_m
 
 
 def _inverse(matrices: Array) -> Array:
-    """Inverses of symmetric (N, 3, 3) by cofactors; NaN where singular, so that one lost point does not lose the others."""
+    """Inverses of symmetric (N, 3, 3) by cofactors; NaN where singular: one lost point must not lose the others."""
     a, b, c = matrices[:, :, 0], matrices[:, :, 1], matrices[:, :, 2]
     cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
     determinant = np.einsum("ni,ni->n", a, cofactors[:, 0])
