@@ -1,0 +1,1 @@
+"""Images to measurements: matching, shape, outline, beam."""

@@ -1,0 +1,157 @@
+"""Least-squares matching of patches between the two images, along given directions, with slant and brightness.
+
+A patch is a square of the left image; a warp says where its pixels are expected in the right one. The right place is
+found by a shift along the epipolar direction that may vary linearly over the patch (slant), with gain and offset of
+brightness free (Gruen 1985, "Adaptive least squares correlation"). All patches are solved together, vectorised.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from leadline.ranging.images import Float32, Spline
+from leadline.samples import Array
+
+MAX_ITERATIONS = 12
+DERIVATIVE_NOISE = 1 / (8 * np.pi)  # variance gain of a Gaussian derivative of sigma 1 px on white noise
+
+
+@dataclass(frozen=True, slots=True)
+class Warp:
+    """Where patches are expected in the right image. N patches of (2 half + 1)^2 pixels."""
+
+    centre_px: Array  # (N, 2) integers, left
+    half: int
+    expected_px: Array  # (N, 2) right
+    affine: Array  # (N, 2, 2) right pixels per left pixel
+    along: Array  # (N, 2) unit direction of the epipolar curve, right
+
+
+@dataclass(frozen=True, slots=True)
+class Matches:
+    """Shift (N,) along the direction, its sigma (N,), and the correlation (N,); NaN where there is none."""
+
+    shift_px: Array
+    sigma_px: Array
+    correlation: Array
+
+
+def templates(left: Float32, warp: Warp) -> tuple[Array, Array, Array]:
+    """Patch pixels (N, W) of the left image and their x, y derivatives (Gaussian, sigma 1 px)."""
+    offset = np.arange(-warp.half, warp.half + 1)
+    rows = warp.centre_px[:, 1, None, None].astype(int) + offset[None, :, None]
+    columns = warp.centre_px[:, 0, None, None].astype(int) + offset[None, None, :]
+    low = np.array([columns.min(), rows.min()]) - 6
+    high = np.array([columns.max(), rows.max()]) + 7
+    low = np.maximum(low, 0)
+    region = np.ascontiguousarray(left[low[1] : high[1], low[0] : high[0]])
+    smooth = cv2.getGaussianKernel(9, 1.0, cv2.CV_32F)
+    slope = smooth * np.arange(-4, 5, dtype=np.float32)[:, None]
+    slope /= float((slope[:, 0] * np.arange(-4, 5)).sum())
+    gx = cv2.sepFilter2D(region, cv2.CV_32F, slope, smooth)
+    gy = cv2.sepFilter2D(region, cv2.CV_32F, smooth, slope)
+    at = (rows - low[1], columns - low[0])
+    flat = (len(warp.centre_px), -1)
+    return tuple(np.asarray(image[at].reshape(flat), float) for image in (region, gx, gy))  # type: ignore[return-value]
+
+
+def offsets(half: int) -> tuple[Array, Array]:
+    """(W,) dx, dy of a patch's pixels from its centre, rows first."""
+    dy, dx = np.mgrid[-half : half + 1, -half : half + 1]
+    return dx.ravel().astype(float), dy.ravel().astype(float)
+
+
+def places(warp: Warp, shift_px: Array, slant: Array) -> tuple[Array, Array]:
+    """Right coordinates (N, W) of every patch pixel for shifts (N,) and slants (N, 2) in px at the patch's edge."""
+    dx, dy = offsets(warp.half)
+    along = shift_px[:, None] + (slant[:, :1] * dx + slant[:, 1:] * dy) / warp.half
+    x = warp.expected_px[:, :1] + warp.affine[:, 0, :1] * dx + warp.affine[:, 0, 1:] * dy + along * warp.along[:, :1]
+    y = warp.expected_px[:, 1:] + warp.affine[:, 1, :1] * dx + warp.affine[:, 1, 1:] * dy + along * warp.along[:, 1:]
+    return x, y
+
+
+def search(left: Float32, right: Float32, warp: Warp, reach_px: float) -> tuple[Array, Array]:
+    """The best whole-pixel shift (N,) within +-reach, and the correlation there (N,)."""
+    template = _normalised(templates(left, warp)[0])
+    shifts = np.arange(-np.ceil(reach_px), np.ceil(reach_px) + 1)
+    flat = np.zeros((len(template), 2))
+    scores = []
+    for shift in shifts:
+        x, y = places(warp, np.full(len(template), shift), flat)
+        sampled = cv2.remap(
+            right, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+        scores.append(np.einsum("nw,nw->n", template, _normalised(np.asarray(sampled, float))))
+    table = np.array(scores)
+    best = table.argmax(axis=0)
+    return shifts[best], table[best, np.arange(len(best))]
+
+
+def _normalised(patches: Array) -> Array:
+    centred = patches - patches.mean(axis=1, keepdims=True)
+    return np.asarray(centred / (np.linalg.norm(centred, axis=1, keepdims=True) + 1e-9))
+
+
+def refine(left: Float32, right: Float32, warp: Warp, start_px: Array) -> Matches:
+    """Sub-pixel shifts from whole-pixel ones, with the sigma that the patch's own noise and texture imply.
+
+    The derivative of the left image is the instrument: its fixed point does not depend on how well it approximates the
+    right image's. Its own noise would make texture look richer than it is, and is taken out of the normal matrix.
+    """
+    template, gx, gy = templates(left, warp)
+    dx, dy = offsets(warp.half)
+    slope = _slope_along(warp, gx, gy)
+    design = np.stack([slope, slope * dx / warp.half, slope * dy / warp.half, template, np.ones_like(template)], axis=2)
+    normal = np.einsum("nwi,nwj->nij", design, design)
+    normal[:, 3, 3] += 1e-6
+    inverse = np.linalg.pinv(normal)
+    x, y = places(warp, start_px, np.zeros((len(start_px), 2)))
+    spline = Spline.of(right, np.stack([x.ravel(), y.ravel()], axis=1), 8 + warp.half)
+    p = np.concatenate([start_px[:, None], np.zeros((len(start_px), 2))], axis=1)
+    gain, level = np.ones(len(p)), np.zeros(len(p))
+    residual = np.zeros_like(template)
+    for _ in range(MAX_ITERATIONS):
+        sampled = spline.sample(*places(warp, p[:, 0], p[:, 1:])).astype(float)
+        gain, level = _brightness(template, sampled)
+        residual = (sampled - level[:, None]) / gain[:, None] - template
+        step = -np.einsum("nij,nwj,nw->ni", inverse, design, residual)[:, :3]
+        step = np.clip(step, -1.0, 1.0)
+        p = p + np.nan_to_num(step)
+        if np.nanmax(np.abs(step)) < 1e-3:
+            break
+    return _judge(template, residual, design, p, start_px)
+
+
+def _slope_along(warp: Warp, gx: Array, gy: Array) -> Array:
+    """Derivative (N, W) of the left patch for a step along the epipolar direction of the right image."""
+    back = np.linalg.inv(warp.affine) @ warp.along[:, :, None]
+    return np.asarray(gx * back[:, 0] + gy * back[:, 1])
+
+
+def _brightness(template: Array, sampled: Array) -> tuple[Array, Array]:
+    """Gain and level that take the template to the sampled patch (N,)."""
+    t = template - template.mean(axis=1, keepdims=True)
+    s = sampled - sampled.mean(axis=1, keepdims=True)
+    gain = np.clip(np.einsum("nw,nw->n", t, s) / (np.einsum("nw,nw->n", t, t) + 1e-9), 0.2, 5.0)
+    return gain, sampled.mean(axis=1) - gain * template.mean(axis=1)
+
+
+def _judge(template: Array, residual: Array, design: Array, p: Array, start_px: Array) -> Matches:
+    """Sigma of the shift by the sandwich rule, and NaN for what ran away or left the image."""
+    pixels = template.shape[1]
+    noise = np.einsum("nw,nw->n", residual, residual) / (pixels - 5)  # variance of left and right noise together
+    normal = np.einsum("nwi,nwj->nij", design, design)
+    signal = normal.copy()
+    signal[:, 0, 0] -= pixels * DERIVATIVE_NOISE * noise / 2
+    weak = signal[:, 0, 0] < 0.2 * normal[:, 0, 0]
+    signal[weak] = normal[weak]
+    inverse = np.linalg.pinv(signal)
+    variance = noise * np.einsum("ni,nij,nj->n", inverse[:, 0], normal, inverse[:, 0])
+    spread = template.var(axis=1)
+    correlation = np.sqrt(np.clip(1 - noise / (spread + noise + 1e-9), 0, 1))
+    lost = weak | ~np.isfinite(variance) | (np.abs(p[:, 0] - start_px) > 2.5) | (np.abs(p[:, 1:]).max(axis=1) > 4)
+    shift = np.where(lost, np.nan, p[:, 0])
+    return Matches(shift, np.where(lost, np.nan, np.sqrt(np.abs(variance))), correlation)
