@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -62,7 +61,7 @@ class Rig:
     virtual_focal_px: tuple[float, float] | None = None
     T_body_left: Pose = field(default_factory=Pose.identity)
     covariance: RigCovariance = field(default_factory=RigCovariance)
-    provenance: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         _ = self._right_port  # a right camera outside the port is a fault now, not at the first frame
@@ -92,7 +91,10 @@ class Rig:
         return None if self.port is None else self.port.seen_from(self.T_right_left)
 
     def project(self, points_m: ArrayLike) -> tuple[Array, Array]:
-        """Points (N, 3), left frame, m -> left and right pixels (N, 2); NaN where a camera cannot see a point."""
+        """Points (N, 3), left frame, m -> left and right pixels (N, 2), which may lie outside the image.
+
+        NaN where a point is behind a camera, inside the port or beyond the lens's field.
+        """
         points = as_rows(points_m, 3)
         in_right = self.T_right_left.apply(points)
         if self.port is None or self._right_port is None:
@@ -139,6 +141,14 @@ class Rig:
             raise ValueError("the rig has no laser")
         cov = self.laser.point_covariance_m2(raw_m, self.covariance.of(_BEAM_NAMES))
         return self.laser.point_m(raw_m), cov
+
+    def in_water(self, water: Water) -> Rig:
+        """The same rig in other water: its port and its laser change. ValueError for a rig without a port."""
+        if self.port is None:
+            raise ValueError("a rig without a port cannot be put into water")
+        port = dataclasses.replace(self.port, outside_index=water.index)
+        laser = None if self.laser is None else dataclasses.replace(self.laser, group_index=water.group_index)
+        return dataclasses.replace(self, port=port, water=water, laser=laser)
 
     def scaled(self, factor: float) -> Rig:
         """The rig for images resized by ``factor``: everything in pixels scales, its covariance too."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -67,7 +66,7 @@ def _parts(file: RigFile) -> dict[str, Any]:
         "virtual_focal_px": file.virtual_focal_px and (file.virtual_focal_px.fx, file.virtual_focal_px.fy),
         "T_body_left": _pose(file.T_body_left, "T_body_left") if file.T_body_left else Pose.identity(),
         "covariance": RigCovariance(covariance.names, np.array(covariance.matrix)) if covariance else RigCovariance(),
-        "provenance": MappingProxyType(dict(file.provenance)),
+        "provenance": dict(file.provenance),
     }
 
 
@@ -105,8 +104,6 @@ def _water(section: WaterSection, laser_nm: float) -> Water:
         if computed is None:
             raise ValueError("water.index: is missing")
         return Water(computed.blue, computed.green, computed.red, group, state_or_none)
-    if isinstance(fitted, float):
-        return Water(fitted, fitted, fitted, group, state_or_none)
     return Water(fitted.blue, fitted.green, fitted.red, group, state_or_none)
 
 

@@ -40,7 +40,7 @@ def _number(value: Any) -> Any:
 
 Number = Annotated[float, BeforeValidator(_number), Field(allow_inf_nan=False)]
 Positive = Annotated[Number, Field(gt=0)]
-Length = Annotated[Number, Field(ge=0)]
+Length = Annotated[Number, Field(ge=0, le=2)]  # of a port: more is millimetres taken for metres
 Index = Annotated[Number, Field(gt=1, lt=3)]
 Size = Annotated[int, BeforeValidator(_number), Field(gt=0)]
 Vector = tuple[Number, Number, Number]
@@ -82,12 +82,17 @@ class ChannelIndices(_Section):
     green: Index
     red: Index
 
+    @model_validator(mode="before")
+    @classmethod
+    def _one_for_all(cls, value: Any) -> Any:
+        return value if isinstance(value, dict) else dict.fromkeys(("blue", "green", "red"), value)
+
 
 class WaterSection(_Section):
     temperature_c: Number | None = None
     salinity: Number | None = None
     depth_m: Number | None = None
-    index: ChannelIndices | Index | None = None
+    index: ChannelIndices | None = None
     group_index: Index | None = None
 
     @model_validator(mode="after")
@@ -106,7 +111,7 @@ class LaserSection(_Section):
     window_normal: Vector | None = None
     range_scale: Positive = 1.0
     range_offset_m: Number = 0.0
-    range_sigma_m: Length = 0.003
+    range_sigma_m: Annotated[Number, Field(ge=0)] = 0.003
     wavelength_nm: Annotated[Number, Field(ge=400, le=700)] = 532.0
 
 
@@ -155,6 +160,11 @@ class RigFile(_Section):
 
     @model_validator(mode="after")
     def _fits_together(self) -> RigFile:
+        baseline_m = float(np.linalg.norm(self.T_right_left.t_m))
+        if not 0 < baseline_m < 10:
+            raise ValueError(
+                f"T_right_left.t_m: its length, the baseline, must be above 0 and below 10 m, not {baseline_m:g}"
+            )
         if self.water is not None and self.port is None:
             raise ValueError("port: is missing, and a rig in water has one")
         if self.laser and self.water and self.water.temperature_c is None and self.water.group_index is None:
@@ -202,6 +212,8 @@ def _first_fault(error: ValidationError) -> str:
     first = error.errors()[0]
     where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"]).lstrip(".")
     what = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+    if where and re.match(r"[\w.\[\]]+: ", what):  # a section's own check has named the key inside it
+        return f"{where}.{what}"
     match first["type"]:
         case "extra_forbidden":
             what = "this key is not known"

@@ -61,10 +61,11 @@ class Camera:
         """Points (N, 3) of the camera's frame, no port -> pixels (N, 2); NaN behind the camera or beyond the fold."""
         points = as_rows(points_m, 3)
         pixels = np.empty((len(points), 2))
-        for part in chunks(len(points)):
-            x, y, z = points[part].T.copy()
-            z[~(z > 0)] = np.nan
-            pixels[part, 0], pixels[part, 1] = self.image(x / z, y / z)
+        with np.errstate(invalid="ignore", over="ignore"):
+            for part in chunks(len(points)):
+                x, y, z = points[part].T.copy()
+                z[~(z > 0)] = np.nan
+                pixels[part, 0], pixels[part, 1] = self.image(x / z, y / z)
         return pixels
 
     def project_with_jacobian(self, points_m: ArrayLike) -> tuple[Array, Array]:

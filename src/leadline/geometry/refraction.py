@@ -98,6 +98,7 @@ class LayeredPort:
         Both in the camera's frame; NaN where the pixel does not look through the port.
         """
         xy = camera.normalise(pixels_px)
+        xy[~np.isfinite(xy).all(axis=1)] = np.nan
         sight = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
         forward = sight @ self.normal
         forward[~(forward > 0)] = np.nan
