@@ -2,5 +2,6 @@
 
 from leadline.sinks.base import Sink
 from leadline.sinks.csv import SolutionsCsv
+from leadline.sinks.mcap import McapSink
 
-__all__ = ["Sink", "SolutionsCsv"]
+__all__ = ["McapSink", "Sink", "SolutionsCsv"]

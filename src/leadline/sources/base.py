@@ -48,6 +48,14 @@ class Source(ABC):
     def tell(self, kind: NoticeKind, where: str, why: str) -> None:
         self._passing.append(Notice(kind, where, why))
 
+    def fits(self, frame: StereoFrame, where: str) -> bool:
+        """Whether the frame has the size of the dive's first one; told if not."""
+        if frame_size(frame) == self.image_size:
+            return True
+        width, height = frame_size(frame)
+        self.tell(NoticeKind.SKIPPED, where, f"the images are {width}x{height}, unlike those of the first frame")
+        return False
+
     @property
     def notices(self) -> list[Notice]:
         return self._standing + self._passing

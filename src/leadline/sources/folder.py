@@ -11,7 +11,8 @@ from leadline.rig import Rig
 from leadline.samples import LaserRange, Sample
 from leadline.sources.base import Source, frame_size
 from leadline.sources.sync import order_key
-from leadline.wire.dive_folder import FrameEntry, SizeError, read_frames, read_laser
+from leadline.wire.dive_folder import FrameEntry, read_frames, read_laser
+from leadline.wire.images import SizeError
 from leadline.wire.notice import Notice, NoticeKind
 from leadline.wire.truth import read_truth
 
@@ -49,11 +50,8 @@ class FolderSource(Source):
             except ValueError as error:
                 self.tell(NoticeKind.SKIPPED, where, str(error))
                 continue
-            if frame_size(frame) == self.image_size:
+            if self.fits(frame, where):
                 yield frame
-            else:
-                width, height = frame_size(frame)
-                self.tell(NoticeKind.SKIPPED, where, f"the image is {width}x{height}, unlike the frames before it")
 
 
 def _key(row: _Entry) -> tuple[int, int, int]:

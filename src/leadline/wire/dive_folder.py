@@ -14,7 +14,7 @@ import numpy as np
 
 from leadline.errors import InputError
 from leadline.samples import Image, LaserRange, StereoFrame
-from leadline.wire.images import decode_image
+from leadline.wire.images import SizeError, decode_image, require_same_size
 from leadline.wire.notice import Notice, NoticeKind
 from leadline.wire.table import Row, read_table
 
@@ -45,16 +45,10 @@ class FrameEntry:
         else:
             (left_bytes, left), (right_bytes, right) = contents
             encoded = (left_bytes, right_bytes)
-        if left.shape[:2] != right.shape[:2]:
-            sizes = " and ".join(f"{image.shape[1]}x{image.shape[0]}" for image in (left, right))
-            raise SizeError(f"left and right differ in size: {sizes}")
+        require_same_size(left, right)
         return StereoFrame(
             self.t_ns, left, right, self.arrival_ns, self.left_t_ns, self.right_t_ns, name=self.name, encoded=encoded
         )
-
-
-class SizeError(ValueError):
-    """Left and right images of different size: a mistake of the whole dive if the first frame has it."""
 
 
 def split_side_by_side(image: Image) -> tuple[Image, Image]:

@@ -32,6 +32,16 @@ def decode_image(data: bytes) -> Image:
     return np.asarray(pixels, np.uint8)
 
 
+class SizeError(ValueError):
+    """Left and right images of different size: a mistake of the whole dive if its first frame has it."""
+
+
+def require_same_size(left: Image, right: Image) -> None:
+    if left.shape[:2] != right.shape[:2]:
+        sizes = " and ".join(f"{image.shape[1]}x{image.shape[0]}" for image in (left, right))
+        raise SizeError(f"left and right differ in size: {sizes}")
+
+
 def encode_png(image: Image) -> bytes:
     """Lossless; level 1, because a recording has to keep up with the cameras."""
     return bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())

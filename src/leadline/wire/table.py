@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -54,29 +55,41 @@ def read_table(path: Path, expected: Sequence[Sequence[str]]) -> list[Row]:
     Raises InputError for a missing file, one that is not text, and a header that is none of those expected.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
-        lines = csv.reader(text.splitlines())
+        return parse_table(path.read_text(encoding="utf-8-sig"), str(path), expected)
+    except FileNotFoundError:
+        raise InputError(f"no {path.name}", str(path.parent), f"write it with the columns {_told(expected)}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot be read ({error})", str(path), "write it as CSV in UTF-8") from None
+
+
+def parse_table(text: str, where: str, expected: Sequence[Sequence[str]]) -> list[Row]:
+    """As ``read_table``, from text; ``where`` is the name to give in messages."""
+    lines = csv.reader(text.splitlines())
+    try:
         header = [name.strip() for name in next(lines, [])]
         if not any(set(columns) <= set(header) for columns in expected):
-            raise InputError(
-                f"the header is '{','.join(header)}'" if header else "the file is empty",
-                str(path),
-                "the first line must be " + " or ".join(",".join(columns) for columns in expected),
-            )
-        return [_row(path, lines.line_num, header, cells) for cells in lines if any(cell.strip() for cell in cells)]
-    except FileNotFoundError:
-        wanted = " or ".join(",".join(columns) for columns in expected)
-        raise InputError(f"no {path.name}", str(path.parent), f"write it with the columns {wanted}") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"cannot be read as CSV ({error})", str(path), "write it as UTF-8 text") from None
+            what = f"the header is '{','.join(header)}'" if header else "the file is empty"
+            raise InputError(what, where, f"the first line must be {_told(expected)}")
+        return [_row(where, lines.line_num, header, cells) for cells in lines if any(cell.strip() for cell in cells)]
+    except csv.Error as error:
+        raise InputError(f"not CSV ({error})", where, "write it as CSV in UTF-8") from None
 
 
-def _row(path: Path, line: int, header: list[str], cells: list[str]) -> Row:
-    return Row(f"{path} row {line}", {name: cell.strip() for name, cell in zip(header, cells, strict=False)})
+def _told(expected: Sequence[Sequence[str]]) -> str:
+    return " or ".join(",".join(columns) for columns in expected)
+
+
+def _row(where: str, line: int, header: list[str], cells: list[str]) -> Row:
+    return Row(f"{where} row {line}", {name: cell.strip() for name, cell in zip(header, cells, strict=False)})
+
+
+def table_text(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return text.getvalue()
 
 
 def write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(rows)
+    path.write_text(table_text(header, rows), encoding="utf-8", newline="")

@@ -1,0 +1,109 @@
+"""Decoded ROS 2 messages back to samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from leadline.samples import LaserRange, Sample, StereoFrame
+from leadline.wire.images import decode_image, require_same_size
+from leadline.wire.notice import Notice, NoticeKind
+from leadline.wire.ros2_definitions import LASER, LEFT_IMAGE, RIGHT_IMAGE, SAMPLE_INFO
+from leadline.wire.ros2_messages import FRAME_NAME, stamp_ns
+from leadline.wire.stamps import format_stamp, parse_stamp
+
+_WAITING = 16  # images that wait for their partner; more than that is a lost partner
+_PAIR_NS = 25_000_000  # images of another recorder this close are one exposure
+
+Times = tuple[int | None, int | None, int | None]  # arrival, left and right exposure, ns
+
+
+class SampleAssembler:
+    """Give it the messages in file order; it gives a sample when one is complete.
+
+    Our own recordings say in ``sample_info``, ahead of the images, which images are one frame, and what exactly was
+    read. In a recording of these topics by another tool images pair by their stamps, and a reading is a float32.
+    """
+
+    def __init__(self, tell: Callable[[Notice], None]) -> None:
+        self._tell = tell
+        self._images: dict[str, dict[int, bytes]] = {LEFT_IMAGE: {}, RIGHT_IMAGE: {}}
+        self._own = False
+        self._announced: tuple[int, dict[str, str]] | None = None  # a frame whose images are to come
+
+    def take(self, topic: str, message: Any, log_ns: int) -> Sample | None:
+        """One message, logged at ``log_ns``. Raises SizeError for a pair of unequal images."""
+        if topic == SAMPLE_INFO:
+            self._own = True
+            return self._announce(message)
+        if topic in self._images:
+            images = self._images[topic]
+            images[stamp_ns(message)] = message.data
+            while len(images) > _WAITING:
+                del images[next(iter(images))]
+            return self._complete() if self._own else self._nearest_pair(topic, stamp_ns(message), log_ns)
+        if topic == LASER and not self._own:
+            return self._checked_range(LaserRange(stamp_ns(message), float(message.range), None, log_ns))
+        return None
+
+    def finish(self) -> None:
+        """The recording is over: tell the frame whose images did not come."""
+        if self._announced is not None:
+            self._skip("frame", self._announced[0], "an image of it is missing")
+        self._announced = None
+
+    def _announce(self, message: Any) -> Sample | None:
+        t_ns, status = stamp_ns(message), message.status[0]
+        values = {pair.key: pair.value for pair in status.values}
+        if status.name != FRAME_NAME:
+            quality = float(values["quality"]) if "quality" in values else None
+            return LaserRange(t_ns, float(values["range_m"]), quality, _optional(values, "arrival_s"))
+        self.finish()
+        self._announced = t_ns, values
+        return self._complete()
+
+    def _complete(self) -> StereoFrame | None:
+        """The announced frame, once both images are there."""
+        if self._announced is None:
+            return None
+        t_ns, values = self._announced
+        times = _optional(values, "arrival_s"), _optional(values, "left_t_s"), _optional(values, "right_t_s")
+        left_ns, right_ns = (t_ns if stamp is None else stamp for stamp in times[1:])
+        lefts, rights = self._images[LEFT_IMAGE], self._images[RIGHT_IMAGE]
+        if left_ns not in lefts or right_ns not in rights:
+            return None
+        self._announced = None
+        return self._frame((lefts.pop(left_ns), rights.pop(right_ns)), t_ns, times, values.get("name", ""))
+
+    def _nearest_pair(self, topic: str, stamp: int, log_ns: int) -> StereoFrame | None:
+        others = self._images[RIGHT_IMAGE if topic == LEFT_IMAGE else LEFT_IMAGE]
+        nearest = min(others, key=lambda other: abs(other - stamp), default=None)
+        if nearest is None or abs(nearest - stamp) > _PAIR_NS:
+            return None
+        left_ns, right_ns = (stamp, nearest) if topic == LEFT_IMAGE else (nearest, stamp)
+        encoded = self._images[LEFT_IMAGE].pop(left_ns), self._images[RIGHT_IMAGE].pop(right_ns)
+        if left_ns == right_ns:
+            return self._frame(encoded, left_ns, (log_ns, None, None), "")
+        return self._frame(encoded, (left_ns + right_ns) // 2, (log_ns, left_ns, right_ns), "")
+
+    def _frame(self, encoded: tuple[bytes, bytes], t_ns: int, times: Times, name: str) -> StereoFrame | None:
+        try:
+            left, right = decode_image(encoded[0]), decode_image(encoded[1])
+        except ValueError as error:
+            self._skip("frame", t_ns, str(error))
+            return None
+        require_same_size(left, right)
+        return StereoFrame(t_ns, left, right, *times, name=name, encoded=encoded)
+
+    def _checked_range(self, reading: LaserRange) -> LaserRange | None:
+        if 0 < reading.range_m < float("inf"):
+            return reading
+        self._skip("laser", reading.t_ns, f"range {reading.range_m} is not a distance")
+        return None
+
+    def _skip(self, sensor: str, t_ns: int, why: str) -> None:
+        self._tell(Notice(NoticeKind.SKIPPED, f"{sensor} at {format_stamp(t_ns)} s", why))
+
+
+def _optional(values: dict[str, str], key: str) -> int | None:
+    return parse_stamp(values[key]) if key in values else None
