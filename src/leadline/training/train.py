@@ -1,0 +1,152 @@
+"""The training loop: examples in, a network out. Needs the extra `train` (torch); nothing else of leadline does."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from leadline.training.augment import Picture, Rng, mosaic, single
+from leadline.training.dataset import Example
+from leadline.training.loss import detection_loss
+from leadline.training.network import STRIDES, Network, cell_centres
+
+KEPT_LONG_SIDE = 640  # larger images are kept at this size while training
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How to train. ``sizes`` (w, h) are drawn with ``size_weights``; ``batch`` holds at the first one."""
+
+    steps: int = 1000
+    batch: int = 16
+    sizes: tuple[tuple[int, int], ...] = ((320, 256), (416, 256), (512, 320))
+    size_weights: tuple[float, ...] = (0.6, 0.25, 0.15)
+    learning_rate: float = 2e-3
+    weight_decay: float = 0.02
+    warm_up: int = 60
+    mosaic: float = 0.5
+    plain_end: float = 0.15  # the last part of the steps sees no mosaic
+    average: float = 0.997  # the exported weights are a running mean
+    seed: int = 0
+    threads: int = 1
+
+
+@dataclass(slots=True)
+class Pool:
+    """A named set of examples, drawn with ``weight``; files are read once and kept as encoded bytes."""
+
+    examples: Sequence[Example]
+    weight: float
+    _bytes: dict[int, tuple[bytes, float]] = field(default_factory=dict)
+
+    def draw(self, rng: Rng) -> Picture:
+        k = int(rng.integers(len(self.examples)))
+        example = self.examples[k]
+        if k not in self._bytes:
+            self._bytes[k] = _shrunk(example)
+        encoded, scale = self._bytes[k]
+        image = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_COLOR)
+        return Picture(np.asarray(image, np.uint8), example.boxes * np.float32(scale), example.classes)
+
+
+def _shrunk(example: Example) -> tuple[bytes, float]:
+    """The file's bytes, re-encoded smaller where it is large, and the factor."""
+    data = example.image.read_bytes()
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        raise ValueError(f"{example.image}: not an image")
+    scale = KEPT_LONG_SIDE / max(image.shape[:2])
+    if scale >= 1:
+        return data, 1.0
+    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes(), scale
+
+
+def train(
+    pools: Sequence[Pool],
+    classes: int = 1,
+    settings: Settings | None = None,
+    progress: Callable[[int, float], None] = lambda step, loss: None,
+    start: Network | None = None,
+) -> Network:
+    """Train a network on pictures drawn from ``pools``; deterministic for a seed on the same machine."""
+    settings = settings or Settings()
+    torch.set_num_threads(settings.threads)
+    torch.manual_seed(settings.seed)
+    rng = np.random.default_rng(settings.seed)
+    network = copy.deepcopy(start) if start else Network(classes)
+    network.train().to(memory_format=torch.channels_last)
+    average = copy.deepcopy(network)
+    optimiser = torch.optim.AdamW(_groups(network, settings.weight_decay), lr=settings.learning_rate)
+    for step in range(settings.steps):
+        for group in optimiser.param_groups:
+            group["lr"] = settings.learning_rate * _pace(step, settings)
+        images, boxes, names = draw_batch(rng, pools, settings, plain=step >= settings.steps * (1 - settings.plain_end))
+        logits, predicted = network(images)
+        loss = detection_loss(logits, predicted, _cells(images), boxes, names)
+        optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 10.0)
+        optimiser.step()
+        _follow(average, network, min(settings.average, (1 + step) / (20 + step)))
+        progress(step, float(loss.detach()))
+    average.eval()
+    return average
+
+
+def _pace(step: int, settings: Settings) -> float:
+    """Learning rate's factor: linear warm-up, then a cosine to 2 %."""
+    if step < settings.warm_up:
+        return (step + 1) / settings.warm_up
+    part = (step - settings.warm_up) / max(1, settings.steps - settings.warm_up)
+    return 0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * part))
+
+
+def _groups(network: Network, decay: float) -> list[dict[str, object]]:
+    """Only weights of convolutions decay, not biases and normalisations."""
+    heavy = [p for p in network.parameters() if p.ndim > 1]
+    light = [p for p in network.parameters() if p.ndim <= 1]
+    return [{"params": heavy, "weight_decay": decay}, {"params": light, "weight_decay": 0.0}]
+
+
+def _cells(images: Tensor) -> Tensor:
+    height, width = images.shape[2:]
+    return torch.cat([cell_centres(height // s, width // s, s, images.device) for s in STRIDES])
+
+
+def _follow(average: Network, network: Network, keep: float) -> None:
+    """Move the running mean of the weights (state_dict's tensors share the network's memory and are detached)."""
+    for mean, value in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
+        if mean.dtype.is_floating_point:
+            mean.lerp_(value, 1 - keep)
+        else:
+            mean.copy_(value)
+
+
+def draw_batch(
+    rng: Rng, pools: Sequence[Pool], settings: Settings, plain: bool
+) -> tuple[Tensor, list[Tensor], list[Tensor]]:
+    """Images (B, 3, h, w) in 0..1, and each image's boxes (M, 4) and classes (M,)."""
+    weights = np.array([pool.weight for pool in pools])
+
+    def draw() -> Picture:
+        return pools[int(rng.choice(len(pools), p=weights / weights.sum()))].draw(rng)
+
+    size = settings.sizes[int(rng.choice(len(settings.sizes), p=settings.size_weights))]
+    first = settings.sizes[0]
+    count = max(2, round(settings.batch * first[0] * first[1] / (size[0] * size[1])))
+    pictures = [
+        mosaic(rng, draw, size) if not plain and rng.random() < settings.mosaic else single(rng, draw, size)
+        for _ in range(count)
+    ]
+    images = np.stack([p.image[..., ::-1] for p in pictures]).transpose(0, 3, 1, 2)
+    tensor = torch.from_numpy(np.ascontiguousarray(images)).float().div_(255)
+    tensor = tensor.contiguous(memory_format=torch.channels_last)
+    return tensor, [torch.from_numpy(p.boxes) for p in pictures], [torch.from_numpy(p.classes) for p in pictures]
