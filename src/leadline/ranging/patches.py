@@ -114,13 +114,13 @@ def refine(left: Float32, right: Float32, warp: Warp, start_px: Array) -> Matche
     gain, level = np.ones(len(p)), np.zeros(len(p))
     residual = np.zeros_like(template)
     for _ in range(MAX_ITERATIONS):
-        sampled = spline.sample(*places(warp, p[:, 0], p[:, 1:])).astype(float)
+        sampled = spline.sample(*places(warp, p[:, 0], p[:, 1:])).astype(float)  # NaN: the patch left the image
         gain, level = _brightness(template, sampled)
         residual = (sampled - level[:, None]) / gain[:, None] - template
         step = -np.einsum("nij,nwj,nw->ni", inverse, design, residual)[:, :3]
         step = np.clip(step, -1.0, 1.0)
-        p = p + np.nan_to_num(step)
-        if np.nanmax(np.abs(step)) < 1e-3:
+        p = p + step
+        if not np.nanmax(np.abs(step), initial=0.0) >= 1e-3:
             break
     return _judge(template, residual, design, p, start_px)
 
@@ -146,7 +146,7 @@ def _judge(template: Array, residual: Array, design: Array, p: Array, start_px: 
     normal = np.einsum("nwi,nwj->nij", design, design)
     signal = normal.copy()
     signal[:, 0, 0] -= pixels * DERIVATIVE_NOISE * noise / 2
-    weak = signal[:, 0, 0] < 0.2 * normal[:, 0, 0]
+    weak = ~(signal[:, 0, 0] > 0.2 * normal[:, 0, 0])
     signal[weak] = normal[weak]
     inverse = np.linalg.pinv(signal)
     variance = noise * np.einsum("ni,nij,nj->n", inverse[:, 0], normal, inverse[:, 0])

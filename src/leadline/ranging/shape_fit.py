@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leadline.samples import Array
-from leadline.target import Cylinder, Plane, Sphere, Surface, Target
+from leadline.target import Cylinder, Sphere, Target
 
 ITERATIONS = 30
 MIN_COSINE = 0.2  # near the limb a ray grazes the surface and its point says little
@@ -148,47 +148,3 @@ def _descend(target: Target, points: Points, x: Array, sigma: Array, steps: int)
         if np.linalg.norm(step) < 1e-7:
             break
     return x, information, bool(np.linalg.cond(information) < 1e12)
-
-
-def fit_surface(points: Points, beam: tuple[Array, Array] | None) -> Fit | None:
-    """An unknown surface: its nearest point from the patches around the nearest, and the bulge at the beam's hit."""
-    p = points.p_m
-    if len(p) < 4:
-        return None
-    ranges = np.linalg.norm(p, axis=1)
-    order = np.argsort(ranges)
-    near = order[: max(4, len(p) // 8)]
-    local = points.pick(near)
-    plane = fit(Plane(), local) if len(near) >= 6 else None
-    weight = 1 / local.sigma_m**2
-    centre = (local.p_m * weight[:, None]).sum(axis=0) / weight.sum()
-    nearest = plane.x if plane is not None and np.linalg.norm(plane.x - centre) < 0.3 * np.linalg.norm(centre) else centre
-    along = nearest / np.linalg.norm(nearest)
-    value = float(np.average(local.p_m @ along, weights=weight))
-    lateral = np.outer(along, along)
-    spread = float(np.std(local.p_m @ along)) ** 2 / len(near) + float(1 / weight.sum())
-    position = centre + (value - centre @ along) * along
-    cov = spread * lateral + np.cov(local.p_m.T) * 0.25 + 1e-8 * np.eye(3)
-    cov = spread * lateral + (np.eye(3) - lateral) @ cov @ (np.eye(3) - lateral)
-    bulge, bulge_var = _bulge(points, position, beam)
-    full = np.zeros((4, 4))
-    full[:3, :3], full[3, 3] = cov, bulge_var
-    return Fit(np.append(position, bulge), full, np.ones(len(p), bool), 1.0)
-
-
-def _bulge(points: Points, position_m: Array, beam: tuple[Array, Array] | None) -> tuple[float, float]:
-    """How far behind the nearest point's tangent plane the beam meets the surface, from the points beside the beam."""
-    prior = float(Surface().shape_sigma[0]) ** 2
-    if beam is None:
-        return 0.0, prior
-    origin, direction = beam
-    along = (points.p_m - origin) @ direction
-    aside = np.linalg.norm(points.p_m - origin - along[:, None] * direction, axis=1)
-    close = np.argsort(aside)[:5]
-    reach = float(aside[close].max())
-    if reach > 0.25 * np.linalg.norm(position_m):
-        return 0.0, prior
-    plane_length = Surface().beam_length(np.append(position_m, 0.0), origin[None], direction[None])[0][0]
-    bulge = float(np.mean(along[close])) - float(plane_length)
-    variance = float(np.var(along[close])) / 2 + float(np.mean(points.sigma_m[close] ** 2))
-    return (bulge, variance) if np.isfinite(bulge) else (0.0, prior)

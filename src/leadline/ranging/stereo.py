@@ -15,7 +15,8 @@ from scipy.interpolate import RBFInterpolator
 from leadline.ranging.coarse import Box, coarse_points
 from leadline.ranging.images import Float32, grey, shrink, to_full, to_level
 from leadline.ranging.patches import Warp, refine, search
-from leadline.ranging.shape_fit import Fit, Points, fit, fit_surface
+from leadline.ranging.shape_fit import Fit, Points, fit
+from leadline.ranging.surface_fit import fit_surface
 from leadline.rig import Rig
 from leadline.samples import Array, Image, Kind, Measurement, Rejected
 from leadline.target import Surface, Target
@@ -38,14 +39,16 @@ class StereoSettings:
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Both images of a frame, grey."""
+    """Both images of a frame, as they came and grey."""
 
+    left_image: Image
+    right_image: Image
     left: Float32
     right: Float32
 
     @classmethod
     def of(cls, left: Image, right: Image) -> Pair:
-        return cls(grey(left), grey(right))
+        return cls(left, right, grey(left), grey(right))
 
 
 @dataclass(frozen=True, slots=True)
