@@ -49,7 +49,7 @@ class McapSource(Source):
     def _samples(self, tell: Tell, *, strict: bool = False) -> Iterator[Sample]:
         """``strict``: raise SizeError for a pair of unequal images instead of leaving it out."""
         reader = RecordingReader(self._path, lambda why: tell(Notice(NoticeKind.TRUNCATED, str(self._path), why)))
-        assembler = SampleAssembler(tell)
+        assembler = SampleAssembler(str(self._path), tell)
         for topic, message, log_ns in reader.messages(_TOPICS):
             try:
                 sample = assembler.take(topic, message, log_ns)

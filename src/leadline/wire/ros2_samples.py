@@ -25,8 +25,9 @@ class SampleAssembler:
     read. In a recording of these topics by another tool images pair by their stamps, and a reading is a float32.
     """
 
-    def __init__(self, tell: Callable[[Notice], None]) -> None:
-        self._tell = tell
+    def __init__(self, where: str, tell: Callable[[Notice], None]) -> None:
+        """``where``: the recording's name, for what is told."""
+        self._where, self._tell = where, tell
         self._images: dict[str, dict[int, bytes]] = {LEFT_IMAGE: {}, RIGHT_IMAGE: {}}
         self._own = False
         self._announced: tuple[int, dict[str, str]] | None = None  # a frame whose images are to come
@@ -102,7 +103,7 @@ class SampleAssembler:
         return None
 
     def _skip(self, sensor: str, t_ns: int, why: str) -> None:
-        self._tell(Notice(NoticeKind.SKIPPED, f"{sensor} at {format_stamp(t_ns)} s", why))
+        self._tell(Notice(NoticeKind.SKIPPED, f"{self._where} {sensor} at {format_stamp(t_ns)} s", why))
 
 
 def _optional(values: dict[str, str], key: str) -> int | None:
