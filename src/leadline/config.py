@@ -1,6 +1,6 @@
 """Settings of a run: every number that a user may change, with its default and its bounds.
 
-``leadline config dump`` prints them, ``--config FILE`` reads them, and a run saves the effective ones as ``config.yaml``.
+``leadline config dump`` prints them, ``--config FILE`` reads them, a run saves the effective ones as ``config.yaml``.
 """
 
 from __future__ import annotations
@@ -23,13 +23,89 @@ class Section(BaseModel):
 class DetectorConfig(Section):
     """Finding the target's box in the left image."""
 
-    score: float = Field(0.3, ge=0, le=1, description="a box below this score is not a detection")
-    nms_iou: float = Field(0.5, gt=0, le=1, description="of two boxes that overlap more, the better one stays")
-    threads: int = Field(2, ge=1, description="threads of the ONNX runtime")
+    score: float = Field(default=0.3, ge=0, le=1, description="a box below this score is not a detection")
+    nms_iou: float = Field(default=0.5, gt=0, le=1, description="of two boxes that overlap more, the better one stays")
+    threads: int = Field(default=2, ge=1, description="threads of the ONNX runtime")
+
+
+class PaperConfig(Section):
+    """What the paper leaves open (`--method paper`); reasons in docs/paper-method.md."""
+
+    block_px: int = Field(default=21, ge=5, le=201, description="side of the matched block")
+    least_score: float = Field(default=0.5, ge=0, le=1, description="a correlation below this is no match")
+    nearest_m: Positive = Field(default=0.15, description="greatest disparity searched")
+    farthest_m: Positive = Field(default=20.0, description="least disparity searched")
+    disparity_sigma_px: Positive = Field(default=0.29, description="rounding to a whole pixel, 1/sqrt(12); sigma_1")
+    laser_sigma_m: Positive = Field(default=0.003, description="the rangefinder's accuracy; sigma_2")
+    laser_hold_s: Positive = Field(default=0.4, description="the laser works while its last reading is no older (3 Hz)")
+    spot_grey: float = Field(default=180.0, gt=0, lt=255, description="the spot is brighter than this grey level")
+    spot_circularity: float = Field(default=0.7, ge=0, le=1, description="4 pi A / P^2 of the spot's outline")
+    spot_area_px: tuple[float, float] = Field(default=(9.0, 4000.0), description="least and greatest area of the spot")
+    spot_rows_px: float = Field(default=4.0, ge=0, description="rows between the left and the right spot")
+    fills_view: float = Field(
+        default=0.95, gt=0, le=1, description="a box this much of the image high or wide fills the view"
+    )
+
+
+class StereoConfig(Section):
+    """Matching patches of the target between the two images."""
+
+    patches: int = Field(120, ge=20, description="about how many patches are matched on the target")
+    half_px: int = Field(12, ge=4, le=40, description="a patch is a square of 2 half + 1 pixels")
+    target_px: int = Field(500, ge=60, description="a larger target is matched in a smaller image, about this size")
+    max_sigma_px: float = Field(0.6, gt=0, description="a match less certain than this is no match")
+    min_correlation: float = Field(0.3, ge=0, le=1, description="nor is one that correlates less")
+    min_agreed: int = Field(6, ge=4, description="patches that must agree on one shape")
+    roughness_m: float = Field(0.0005, ge=0, description="how far the real surface stands off its ideal shape")
+
+
+class OutlineConfig(Section):
+    """Ranging a ball of known size by its outline."""
+
+    reach: tuple[Positive, ...] = Field((0.15, 0.05), description="how far off the outline is looked for, in radii")
+    min_edges: int = Field(40, ge=10, description="edge pixels needed, of 180 in each image")
+    edge_sigma_px: float = Field(0.3, gt=0, description="noise of one edge")
+    bias_sigma_px: float = Field(0.4, ge=0, description="error common to all edges (shading, blur)")
+
+
+class BeamConfig(Section):
+    """The laser and its spot."""
+
+    spot_radius_m: float = Field(0.003, gt=0, description="radius of the lit spot on the target")
+    nearest_m: float = Field(0.05, gt=0, description="shorter beams are not looked for")
+    farthest_m: float = Field(6.0, gt=0, description="nor longer ones")
+    reading_age_s: float = Field(0.2, gt=0, description="a reading this far from a frame still counts with --no-filter")
+
+
+class FilterConfig(Section):
+    """One state for both sensors: position, velocity, shape."""
+
+    acceleration_psd: float = Field(0.01, gt=0, description="how the target's motion changes, m^2/s^3")
+    initial_speed_m_s: float = Field(0.4, gt=0, description="speed expected of a target just found")
+    gate_sigmas: float = Field(5.0, gt=1, description="a measurement farther off than this is turned away")
+    student_nu: float = Field(4.0, gt=2, description="degrees of freedom of the noise; small: heavy tails")
+    horizon_s: float = Field(2.0, gt=0, description="a sample later than this is too late to be replayed")
+    recover_after: int = Field(3, ge=2, description="turned-away positions that agree before starting again")
+
+
+class StatusConfig(Section):
+    """When a solution counts as what."""
+
+    recent_s: float = Field(1.0, gt=0, description="a sensor used within this time is available (the stages)")
+    coast_after_s: float = Field(1.0, gt=0, description="without any measurement for so long: coasting")
+    lost_after_s: float = Field(3.0, gt=0, description="and then: lost")
+    bias_px: float = Field(0.03, ge=0, description="matching error that no averaging removes")
+    laser_bias_m: float = Field(0.0005, ge=0, description="laser error that no averaging removes")
 
 
 class Config(Section):
     detector: DetectorConfig = DetectorConfig()
+    stereo: StereoConfig = StereoConfig()
+    outline: OutlineConfig = OutlineConfig()
+    beam: BeamConfig = BeamConfig()
+    filter: FilterConfig = FilterConfig()
+    status: StatusConfig = StatusConfig()
+    paper: PaperConfig = PaperConfig()
 
     @classmethod
     def load(cls, path: Path) -> Config:

@@ -44,7 +44,9 @@ class BeamRanger:
         """Lengths (K,) and pixels (K, 2) of the beam in one image, about half a pixel apart; NaN pixels where unseen."""
         ends = 1 / np.linspace(1 / nearest_m, 1 / farthest_m, 64)
         q_px = self._seen(ends, side)
-        moved = np.concatenate([[0.0], np.cumsum(np.nan_to_num(np.linalg.norm(np.diff(q_px, axis=0), axis=1), nan=1.0))])
+        moved = np.concatenate(
+            [[0.0], np.cumsum(np.nan_to_num(np.linalg.norm(np.diff(q_px, axis=0), axis=1), nan=1.0))]
+        )
         inverse = np.interp(np.arange(0, moved[-1], CURVE_STEP_PX), moved, 1 / ends)
         lengths = 1 / inverse
         return lengths, self._seen(lengths, side)

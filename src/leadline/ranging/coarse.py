@@ -79,7 +79,9 @@ def _sweep(rig: Rig, left: Float32, right: Float32, box: Box, level: int) -> Swe
         y = seen[i, :, 1, None, None] + window[None, :, None] + 0 * window[None, None, :]
         sampled = _bilinear(right, x.reshape(len(lengths), -1), y.reshape(len(lengths), -1))
         scores[i] = _correlate(patch.ravel(), sampled)
-    inside = (seen >= HALF).all(axis=2) & (seen[..., 0] < right.shape[1] - HALF) & (seen[..., 1] < right.shape[0] - HALF)
+    inside = (
+        (seen >= HALF).all(axis=2) & (seen[..., 0] < right.shape[1] - HALF) & (seen[..., 1] < right.shape[0] - HALF)
+    )
     return Sweep(lengths, np.where(inside, scores, -1.0), origins, directions)
 
 

@@ -35,7 +35,9 @@ class OutlineSettings:
 
 def _pixels(image: Image, q_px: Array) -> Array:
     """Colours (M, 3) of the whole pixels at points that lie inside the image."""
-    inside = np.isfinite(q_px).all(axis=1) & ((q_px >= 0) & (q_px < [image.shape[1] - 1, image.shape[0] - 1])).all(axis=1)
+    inside = np.isfinite(q_px).all(axis=1) & ((q_px >= 0) & (q_px < [image.shape[1] - 1, image.shape[0] - 1])).all(
+        axis=1
+    )
     columns, rows = np.round(q_px[inside]).astype(int).T
     return np.asarray(image[rows, columns], float)
 
@@ -65,7 +67,9 @@ class OutlineRanger:
                 self._edges(pair.left_image, fitted, "left", reach),
                 self._edges(pair.right_image, fitted, "right", reach),
             ]
-            rays = [np.concatenate([getattr(e, name) for e in edges]) for name in ("origins_m", "directions", "m_per_px")]
+            rays = [
+                np.concatenate([getattr(e, name) for e in edges]) for name in ("origins_m", "directions", "m_per_px")
+            ]
             if len(rays[2]) < self._settings.min_edges:
                 return Rejected(Kind.SIZE, t_ns, "too little outline")
             result = self._fit(*rays, fitted)
@@ -111,7 +115,9 @@ class OutlineRanger:
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         reach = max(reach_radii * size_px, 5.0)
         height, width = image.shape
-        inside = np.isfinite(contour).all(axis=1) & ((contour > reach + 4) & (contour < [width - reach - 5, height - reach - 5])).all(axis=1)
+        inside = np.isfinite(contour).all(axis=1) & (
+            (contour > reach + 4) & (contour < [width - reach - 5, height - reach - 5])
+        ).all(axis=1)
         contour, normal = contour[inside], normal[inside]
         if len(contour) < 8:
             return _Edges(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
@@ -120,7 +126,10 @@ class OutlineRanger:
         at = contour[found] + offset_px[found, None] * normal[found]
         origins, directions = self._rig.rays(at, side)
         half = 0.5 * normal[found]
-        m_per_px = np.abs(self._miss(centre_m, *self._rig.rays(at + half, side))[0] - self._miss(centre_m, *self._rig.rays(at - half, side))[0])
+        m_per_px = np.abs(
+            self._miss(centre_m, *self._rig.rays(at + half, side))[0]
+            - self._miss(centre_m, *self._rig.rays(at - half, side))[0]
+        )
         return _Edges(origins, directions, m_per_px)
 
     @staticmethod

@@ -174,6 +174,10 @@ class StereoRanger:
         along /= np.linalg.norm(along, axis=1, keepdims=True)
         margin = half * 1.5 + 4
         keep = np.isfinite(seen).all(axis=(1, 2)) & (np.linalg.det(np.nan_to_num(affine)) > 0.2)
-        inside = (seen[:, 0] > margin).all(axis=1) & (seen[:, 0, 0] < shape[1] - margin) & (seen[:, 0, 1] < shape[0] - margin)
+        inside = (
+            (seen[:, 0] > margin).all(axis=1)
+            & (seen[:, 0, 0] < shape[1] - margin)
+            & (seen[:, 0, 1] < shape[0] - margin)
+        )
         keep &= inside
         return Warp(centres[keep], half, seen[keep, 0], affine[keep], along[keep]), keep

@@ -37,7 +37,9 @@ def find_spot(image: Image, curve_px: Array, radius_px: float) -> Spot | None:
     margin = int(3 * radius_px + BAND_PX + 6)
     height, width = image.shape[:2]
     clear = np.isfinite(curve_px).all(axis=1)
-    clear[clear] &= ((curve_px[clear] > margin) & (curve_px[clear] < [width - margin - 1, height - margin - 1])).all(axis=1)
+    clear[clear] &= ((curve_px[clear] > margin) & (curve_px[clear] < [width - margin - 1, height - margin - 1])).all(
+        axis=1
+    )
     curve = curve_px[clear]
     if len(curve) < 3:
         return None
