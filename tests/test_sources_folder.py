@@ -254,6 +254,25 @@ def test_written_copy_keeps_the_bytes(tmp_path: Path) -> None:
     assert all(same(a, b) for a, b in pairs)
 
 
+@pytest.mark.parametrize("name", ["../escaped.png", "/tmp/escaped.png", "..", ""])
+def test_a_name_does_not_lead_out_of_the_folder(tmp_path: Path, name: str) -> None:
+    frame = StereoFrame(0, picture(1), picture(2), name=name)
+    write_dive(tmp_path / "a" / "dive", [frame])
+    assert sorted(path.name for path in (tmp_path / "a" / "dive").iterdir()) == [
+        "frames.csv",
+        "left_0000.png",
+        "right_0000.png",
+    ]
+    assert [path.name for path in (tmp_path / "a").iterdir()] == ["dive"]
+
+
+def test_frames_of_one_name_do_not_overwrite_each_other(tmp_path: Path) -> None:
+    samples = [StereoFrame(i, picture(i), picture(i + 9), name="left.png") for i in range(3)]
+    write_dive(tmp_path / "dive", samples)
+    back = frames_of(open_source(tmp_path / "dive"))
+    assert [np.array_equal(one.left, other.left) for one, other in zip(samples, back, strict=True)] == [True] * 3
+
+
 def test_a_folder_that_holds_something_is_not_written(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("x")
     with pytest.raises(InputError, match="empty folder"):

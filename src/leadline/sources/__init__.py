@@ -28,7 +28,7 @@ def open_source(spec: str | Path, *, seed: int = 0, real_time: bool = False) -> 
         raise InputError(
             "live sources come with live operation", text, "use a dive folder, an .mcap file or sim:SCENARIO"
         )
-    path = Path(spec)
+    path = _recording_inside(Path(spec))
     if path.is_dir():
         from leadline.sources.folder import FolderSource  # noqa: PLC0415
 
@@ -39,3 +39,11 @@ def open_source(spec: str | Path, *, seed: int = 0, real_time: bool = False) -> 
         return McapSource(path, real_time=real_time)
     what = "not a dive folder, an .mcap file or sim:SCENARIO" if path.exists() else "no such file or folder"
     raise InputError(what, text, "give a dive folder, an .mcap file or sim:SCENARIO")
+
+
+def _recording_inside(path: Path) -> Path:
+    """A ROS 2 bag is a folder with one ``.mcap`` in it; so is a run's folder made with ``--record``."""
+    if path.is_dir() and not (path / "frames.csv").exists():
+        inside = list(path.glob("*.mcap"))
+        return inside[0] if len(inside) == 1 else path
+    return path

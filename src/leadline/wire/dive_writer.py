@@ -74,14 +74,21 @@ def _write_images(folder: Path, index: int, frame: StereoFrame, images: Literal[
     """Write both images; return their names. The left one keeps the frame's name, the key of its boxes."""
     contents = frame.encoded or (_encode(frame.left, images), _encode(frame.right, images))
     left_suffix, right_suffix = (SUFFIX.get(image_format(data), ".img") for data in contents)
-    stem = Path(frame.name).with_suffix("").as_posix() if frame.name else f"left_{index:04d}"
-    left = stem + left_suffix
-    right = _right_of(stem) + right_suffix
+    stem = _stem(frame.name)
+    if not stem or (folder / (stem + left_suffix)).exists():
+        stem = f"left_{index:04d}"
+    left, right = stem + left_suffix, _right_of(stem) + right_suffix
     for name, data in ((left, contents[0]), (right, contents[1])):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data)
     return left, right
+
+
+def _stem(name: str) -> str:
+    """The name without its suffix; "" for a name that would lead out of the folder (a recording can say anything)."""
+    path = Path(name)
+    return "" if path.is_absolute() or ".." in path.parts or not path.name else path.with_suffix("").as_posix()
 
 
 def _right_of(stem: str) -> str:

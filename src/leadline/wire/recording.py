@@ -87,9 +87,13 @@ class RecordingReader:
 
     def __init__(self, path: Path, on_damage: Callable[[str], None]) -> None:
         self.path, self._on_damage = path, on_damage
-        with path.open("rb") as stream:
-            if stream.read(len(_MAGIC)) != _MAGIC:
-                raise InputError("not an MCAP file", str(path), "give a recording made with --record")
+        try:
+            with path.open("rb") as stream:
+                magic = stream.read(len(_MAGIC))
+        except OSError as error:
+            raise InputError(f"cannot be read ({error.strerror})", str(path), "check the file") from None
+        if magic != _MAGIC:
+            raise InputError("not an MCAP file", str(path), "give a recording made with --record")
         self._summary = _read_summary(path)
 
     def count(self, topic: str) -> int | None:
@@ -109,16 +113,17 @@ class RecordingReader:
         """The messages on ``topics``, decoded."""
         wanted, decoders = set(topics), DecoderFactory()
         for schema, channel, record in self.raw_messages():
-            if channel.topic not in wanted or schema is None:
+            if channel.topic not in wanted:
                 continue
-            decode = decoders.decoder_for(channel.message_encoding, schema)
             try:
-                message = decode(record.data) if decode else None
+                decode = decoders.decoder_for(channel.message_encoding, schema)
+                if decode is None:
+                    raise ValueError(f"not a ROS 2 message but {channel.message_encoding or 'of no encoding'}")
+                message = decode(record.data)
             except Exception as error:  # whatever the bytes make of the decoder
-                self._on_damage(f"a message on {channel.topic} cannot be decoded ({error})")
+                self._on_damage(f"a message on {channel.topic} cannot be decoded ({_told(error)})")
                 continue
-            if message is not None:
-                yield Logged(channel.topic, message, record.log_time)
+            yield Logged(channel.topic, message, record.log_time)
 
     def raw_messages(self) -> Iterator[tuple[Schema | None, Channel, Record]]:
         schemas = dict(self._summary.schemas) if self._summary else {}
@@ -183,7 +188,7 @@ def _copy(reader: RecordingReader, writer: PlainWriter) -> int:
             schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
         if channel.id not in channels:
             channels[channel.id] = writer.register_channel(
-                channel.topic, channel.message_encoding, schemas[channel.schema_id], channel.metadata
+                channel.topic, channel.message_encoding, schemas.get(channel.schema_id, 0), channel.metadata
             )
         writer.add_message(channels[channel.id], record.log_time, record.data, record.publish_time, record.sequence)
         count += 1

@@ -36,7 +36,11 @@ class SampleAssembler:
         """One message, logged at ``log_ns``. Raises SizeError for a pair of unequal images."""
         if topic == SAMPLE_INFO:
             self._own = True
-            return self._announce(message)
+            try:
+                return self._announce(message)
+            except (KeyError, ValueError, IndexError) as error:
+                self._skip("sample", stamp_ns(message), f"its description cannot be read ({error})")
+                return None
         if topic in self._images:
             images = self._images[topic]
             images[stamp_ns(message)] = message.data
@@ -58,7 +62,8 @@ class SampleAssembler:
         values = {pair.key: pair.value for pair in status.values}
         if status.name != FRAME_NAME:
             quality = float(values["quality"]) if "quality" in values else None
-            return LaserRange(t_ns, float(values["range_m"]), quality, _optional(values, "arrival_s"))
+            arrival_ns = _optional(values, "arrival_s")
+            return self._checked_range(LaserRange(t_ns, float(values["range_m"]), quality, arrival_ns))
         self.finish()
         self._announced = t_ns, values
         return self._complete()

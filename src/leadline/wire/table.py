@@ -64,7 +64,7 @@ def read_table(path: Path, expected: Sequence[Sequence[str]]) -> list[Row]:
 
 def parse_table(text: str, where: str, expected: Sequence[Sequence[str]]) -> list[Row]:
     """As ``read_table``, from text; ``where`` is the name to give in messages."""
-    lines = csv.reader(text.splitlines())
+    lines = csv.reader(io.StringIO(text, newline=None))
     try:
         header = [name.strip() for name in next(lines, [])]
         if not any(set(columns) <= set(header) for columns in expected):
