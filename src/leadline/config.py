@@ -31,8 +31,9 @@ class DetectorConfig(Section):
 class PaperConfig(Section):
     """What the paper leaves open (`--method paper`); reasons in docs/paper-method.md."""
 
-    block_px: int = Field(default=21, ge=5, le=201, description="side of the matched block")
-    least_score: float = Field(default=0.5, ge=0, le=1, description="a correlation below this is no match")
+    smooth_px: Positive = Field(default=2.0, description="sigma of the blur that takes the noise off before matching")
+    block_px: int = Field(default=41, ge=5, le=201, description="side of the matched block")
+    least_score: float = Field(default=0.7, ge=0, le=1, description="a correlation below this is no match")
     nearest_m: Positive = Field(default=0.15, description="greatest disparity searched")
     farthest_m: Positive = Field(default=20.0, description="least disparity searched")
     disparity_sigma_px: Positive = Field(default=0.29, description="rounding to a whole pixel, 1/sqrt(12); sigma_1")

@@ -1,0 +1,35 @@
+"""The laser spot as in section 3.3.1: grey threshold, circularity, area. Anywhere in the image, to a whole pixel."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from leadline.samples import Image
+
+
+def find_spot(
+    grey: Image, threshold: float, least_circularity: float, area_px: tuple[float, float]
+) -> tuple[int, int] | None:
+    """The pixel (u, v) at the centre of the brightest round blob of a fitting size; None where there is none."""
+    _, bright = cv2.threshold(grey, threshold, 255, cv2.THRESH_BINARY)
+    outlines, _ = cv2.findContours(bright, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    best: tuple[float, tuple[int, int]] | None = None
+    for outline in outlines:
+        x, y, width, height = cv2.boundingRect(outline)
+        if width * height < area_px[0]:  # most are specks: spare them the rest
+            continue
+        blob = bright[y : y + height, x : x + width] > 0
+        if not area_px[0] <= np.count_nonzero(blob) <= area_px[1] or _circularity(outline) < least_circularity:
+            continue
+        brightness = float(grey[y : y + height, x : x + width][blob].mean())
+        if best is None or brightness > best[0]:
+            rows, columns = np.nonzero(blob)
+            best = brightness, (x + round(float(columns.mean())), y + round(float(rows.mean())))
+    return None if best is None else best[1]
+
+
+def _circularity(outline: cv2.typing.MatLike) -> float:
+    """4 pi A / P^2: 1 for a circle."""
+    around = cv2.arcLength(outline, closed=True)
+    return 4 * np.pi * cv2.contourArea(outline) / around**2 if around > 0 else 0.0
