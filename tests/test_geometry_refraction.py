@@ -187,7 +187,7 @@ def test_grazing_and_axial_points() -> None:
     assert port.project(LENS, [point])[0, 0] == pytest.approx(float(u), rel=1e-12)
 
 
-@pytest.mark.parametrize("count", [0, 1, 4095, 4096, 4097, 9000])
+@pytest.mark.parametrize("count", [0, 1, 16384, 16385, 40000])
 def test_chunks_join_without_a_seam(count: int) -> None:
     port = LayeredPort((0, 0, 1), 0.01, ((0.002, 1.52),), 1.335)
     points = points_in_view(port, LENS, max(count, 1))[:count]

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from leadline.samples import Array
 
-CHUNK = 4096  # points: a dozen temporaries of this length stay in the second-level cache
+CHUNK = 16384  # points: large enough to hide the interpreter, small enough that the temporaries stay in cache
 
 
 def as_rows(values: ArrayLike, width: int) -> Array:

@@ -160,8 +160,11 @@ def _distort(x: Array, y: Array, k: tuple[float, ...], *, with_jacobian: bool) -
     if rational:
         radial /= below
     xy2 = 2 * x * y
-    xd = x * radial + p1 * xy2 + p2 * (r2 + 2 * x * x) + r2 * (s1 + r2 * s2)
-    yd = y * radial + p2 * xy2 + p1 * (r2 + 2 * y * y) + r2 * (s3 + r2 * s4)
+    xd = x * radial + p1 * xy2 + p2 * (r2 + 2 * x * x)
+    yd = y * radial + p2 * xy2 + p1 * (r2 + 2 * y * y)
+    if s1 != 0 or s2 != 0 or s3 != 0 or s4 != 0:
+        xd += r2 * (s1 + r2 * s2)
+        yd += r2 * (s3 + r2 * s4)
     if not with_jacobian:
         return xd, yd, (x, x, x, x)
     slope = k1 + r2 * (2 * k2 + r2 * 3 * k3)
