@@ -8,12 +8,13 @@ Channels are in the order red, green, blue here; images are BGR, so the renderer
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Float = NDArray[np.float32]
+Float = NDArray[np.floating[Any]]  # images and textures: always float32, which no stub can follow through every ufunc
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,124 @@
+"""What surfaces are painted with: textures in metres on the surface, filtered for the distance (trilinear mip maps)."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from leadline.simulation import textures
+from leadline.simulation.optics import Float, f32
+from leadline.simulation.scenario import BackdropPart, TargetPart
+
+_PAD = 4  # texels around each level, so that interpolation wraps
+
+
+class Atlas:
+    """A tiling texture with all its halvings side by side in one picture: two lookups give any mixture of scales."""
+
+    def __init__(self, texture: Float, period_m: float) -> None:
+        """``texture`` (S, S) or (S, S, 3), S a power of two; it repeats every ``period_m``."""
+        self.period_m, self.size = period_m, len(texture)
+        levels = [texture]
+        while len(levels[-1]) > 4:
+            levels.append(f32(cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)))
+        padded = [np.pad(level, [(_PAD, _PAD)] * 2 + [(0, 0)] * (level.ndim - 2), mode="wrap") for level in levels]
+        lefts = np.cumsum([0, *(level.shape[1] for level in padded)])
+        self.picture = np.zeros((len(padded[0]), lefts[-1], *texture.shape[2:]), np.float32)
+        for level, left in zip(padded, lefts, strict=False):
+            self.picture[: len(level), left : left + level.shape[1]] = level
+        self._left = (lefts[:-1] + _PAD - 0.5).astype(np.float32)
+        self._side = np.array([len(level) for level in levels], np.float32)
+
+    def sample(self, u_m: Float, v_m: Float, footprint_m: Float) -> Float:
+        """The texture's mean over about ``footprint_m`` at places (h, w) on the surface."""
+        u, v = u_m / np.float32(self.period_m), v_m / np.float32(self.period_m)
+        u, v = u - np.floor(u), v - np.floor(v)
+        texel_m = np.float32(self.period_m / self.size)
+        level = np.log2(np.maximum(footprint_m, texel_m) / texel_m)
+        level = np.minimum(level, np.float32(len(self._side) - 1))
+        low = level.astype(np.int32)
+        fine = self._look_up(u, v, low)
+        if not low.any() and not (level > 0.01).any():
+            return fine
+        rest = level - low
+        coarse = self._look_up(u, v, np.minimum(low + 1, len(self._side) - 1))
+        fine += (coarse - fine) * (rest if fine.ndim == 2 else rest[..., None])
+        return fine
+
+    def _look_up(self, u: Float, v: Float, level: np.ndarray[tuple[int, ...], np.dtype[np.int32]]) -> Float:
+        side = self._side[level]
+        x = u * side + self._left[level]
+        y = v * side + np.float32(_PAD - 0.5)
+        return f32(cv2.remap(self.picture, x, y, cv2.INTER_LINEAR))
+
+
+class Material:
+    """A coloured texture, and a finer grey one that keeps close-ups from blurring."""
+
+    def __init__(self, base: Atlas, grain: Atlas | None) -> None:
+        self._base, self._grain = base, grain
+
+    def reflectance(self, u_m: Float, v_m: Float, footprint_m: Float) -> Float:
+        """(h, w, 3) BGR."""
+        colour = self._base.sample(u_m, v_m, footprint_m)
+        if self._grain is None:
+            return colour
+        colour *= self._grain.sample(u_m, v_m, footprint_m)[..., None]
+        return colour
+
+
+def _grain(rng: np.random.Generator, strength: float, period_m: float) -> Atlas | None:
+    if strength == 0:
+        return None
+    size = 512
+    fine = np.float32(0.10 * strength) * textures.noise(rng, size, 16, 5, 0.8)
+    specks = np.clip(textures.noise(rng, size, 40, 3, 0.6) - np.float32(1.9), 0, 1)
+    scratches = textures.cracks(rng, size, 20, 0.3, 0.003)
+    picture = np.exp(fine) * (1 - np.float32(min(0.5, 0.4 * strength)) * np.maximum(specks, scratches))
+    return Atlas(picture / np.float32(picture.mean()), period_m)
+
+
+def target_material(target: TargetPart, rng: np.random.Generator, size: int) -> Material:
+    """The target's skin. ``size``: texels a side of the coloured texture."""
+    colour = f32(target.colour[::-1])
+    grain = _grain(rng, min(1.0, target.contrast) * target.detail, 0.11)
+    if target.shape == "plane":
+        return Material(Atlas(_hull_paint(rng, size, colour, target.contrast), 4.0), grain)
+    if target.shape == "cylinder":
+        return Material(Atlas(_pile_crust(rng, size, colour, target.contrast), 1.5), grain)
+    period_m = 3.2 * target.diameter_m / 2  # the chart of a ball is 2 sqrt(2) radii wide
+    return Material(Atlas(textures.worn_paint(rng, size, colour, target.contrast, 9), period_m), grain)
+
+
+def _hull_paint(rng: np.random.Generator, size: int, colour: Float, contrast: float) -> Float:
+    """Plates with weld seams, patches of bare primer, barnacles."""
+    paint = textures.worn_paint(rng, size, colour, contrast, 9)
+    seam = np.abs((np.arange(size) + size / 8) % (size / 2) - size / 4) < size / 700
+    weld = np.maximum(seam[None, :] & (np.arange(size)[:, None] < size / 2), seam[:, None]).astype(np.float32)
+    weld = f32(cv2.GaussianBlur(weld, (0, 0), size / 1500))
+    primer = np.clip(3 * textures.noise(rng, size, 10, 7, 0.6) - np.float32(5), 0, 1)
+    barnacles = np.clip(3 * textures.noise(rng, size, size // 12, 2, 0.5) - np.float32(6.5), 0, 1)
+    barnacles *= np.clip(textures.noise(rng, size, 5, 4, 0.5), 0, 1)
+    amount = np.float32(min(1.0, contrast))
+    paint *= (1 - np.float32(0.45) * amount * weld)[..., None]
+    paint += (f32([0.34, 0.36, 0.38]) - paint) * (np.float32(0.6) * amount * np.maximum(primer, barnacles))[..., None]
+    return paint
+
+
+def _pile_crust(rng: np.random.Generator, size: int, colour: Float, contrast: float) -> Float:
+    """Concrete or steel with weed and mussels."""
+    paint = textures.worn_paint(rng, size, colour, contrast, 9)
+    weed = np.clip(textures.noise(rng, size, 6, 8, 0.68) + np.float32(0.2), 0, 1)
+    mussels = np.clip(2 * textures.noise(rng, size, size // 16, 3, 0.6) - np.float32(2.2), 0, 1)
+    amount = np.float32(min(1.0, contrast))
+    tufts = np.exp(np.float32(0.35) * textures.noise(rng, size, size // 16, 4, 0.8))
+    paint += (f32([0.06, 0.16, 0.11]) * tufts[..., None] - paint) * (np.float32(0.75) * amount * weed)[..., None]
+    paint *= (1 - np.float32(0.7) * amount * mussels)[..., None]
+    return paint
+
+
+def backdrop_material(backdrop: BackdropPart, rng: np.random.Generator) -> Material:
+    colour = f32(backdrop.colour[::-1])
+    if backdrop.kind == "pool":
+        return Material(Atlas(textures.tiles(rng, 1024, colour, 8, backdrop.contrast), 2.4), None)
+    return Material(Atlas(textures.sand(rng, 1024, colour, backdrop.contrast), 3.0), None)
