@@ -178,6 +178,14 @@ def test_a_pixel_that_looks_past_the_port_has_no_ray() -> None:
     assert np.isfinite(directions).all(axis=1).tolist() == [False, True, False, False]
 
 
+def test_with_the_pupil_on_the_face_total_reflection_hides_what_lies_aside() -> None:
+    """No air before the face: the whole half space is seen within asin(1 / 1.333) = 48.6 degrees of the normal."""
+    port = LayeredPort((0, 0, 1), 0.0, (), 1.333)
+    tangent = np.tan(np.arcsin(1 / 1.333))
+    pixels = port.project(LENS, [[0.99 * tangent, 0, 1.0], [1.01 * tangent, 0, 1.0]])
+    assert np.isfinite(pixels).all(axis=1).tolist() == [True, False]
+
+
 def test_grazing_and_axial_points() -> None:
     """On the normal nothing bends; far to the side light still arrives, nearly along the port."""
     port = LayeredPort((0, 0, 1), 0.05, ((0.01, 1.5),), 1.333)

@@ -86,21 +86,26 @@ class Camera:
     def normalise(self, pixels_px: ArrayLike) -> Array:
         """Pixels (N, 2) -> undistorted x/z, y/z (N, 2). NaN where no ray of the lens leads to the pixel."""
         pixels = as_rows(pixels_px, 2)
-        target_x, target_y = (pixels[:, 0] - self.cx) / self.fx, (pixels[:, 1] - self.cy) / self.fy
-        if not self.distortion:
-            return np.stack([target_x, target_y], axis=1)
+        xy = np.empty((len(pixels), 2))
+        xy[:, 0], xy[:, 1] = (pixels[:, 0] - self.cx) / self.fx, (pixels[:, 1] - self.cy) / self.fy
+        if self.distortion:
+            with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+                for part in chunks(len(xy)):
+                    xy[part, 0], xy[part, 1] = self._undistort(*xy[part].T.copy())
+        return xy
+
+    def _undistort(self, target_x: Array, target_y: Array) -> tuple[Array, Array]:
+        """Newton's method from the distorted coordinates themselves; NaN where it does not settle inside the fold."""
         x, y = target_x.copy(), target_y.copy()
-        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            for _ in range(_NEWTON_STEPS):
-                dx, dy, error = self._newton_step(x, y, target_x, target_y)
-                x -= dx
-                y -= dy
-                if not np.any(error > _TOLERANCE):
-                    break
-            _, _, error = self._newton_step(x, y, target_x, target_y)
-            lost = ~(error <= 10 * _TOLERANCE) | (x * x + y * y > self.fold_r2)
+        for _ in range(_NEWTON_STEPS):
+            dx, dy, error = self._newton_step(x, y, target_x, target_y)
+            if not np.any(error > _TOLERANCE):
+                break
+            x -= dx
+            y -= dy
+        lost = ~(error <= 10 * _TOLERANCE) | (x * x + y * y > self.fold_r2)
         x[lost] = y[lost] = np.nan
-        return np.stack([x, y], axis=1)
+        return x, y
 
     def _newton_step(self, x: Array, y: Array, target_x: Array, target_y: Array) -> tuple[Array, Array, Array]:
         xd, yd, (a, b, c, d) = _distort(x, y, self._twelve(), with_jacobian=True)
