@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
-from leadline.config import PaperConfig
+from leadline.config import Config
 from leadline.paper.matching import NEIGHBOURS, match_block, smooth
 from leadline.paper.pinhole_pair import PinholePair
 from leadline.paper.spot import find_spot
@@ -30,32 +29,33 @@ from leadline.target import Plane, Surface, Target
 
 
 class Finder(Protocol):
-    def find(self, frame: StereoFrame) -> Sequence[Detection]: ...
+    def find(self, frame: StereoFrame) -> list[Detection]: ...
 
 
 class PaperLocalizer:
     """``step(sample)`` gives one solution for every stereo frame. No refraction, no sub-pixel step, no memory but the
     last reading: ``position_m`` is the paper's point (left camera's frame), ``range_m`` its distance D.
 
-    finder: boxes of a frame, best first; None, or a plane or unknown surface as target: the image itself is the box.
+    Built like ``Localizer``. Without a detector, and for a plane or an unknown surface, the image itself is the box.
     """
 
     def __init__(
-        self, rig: Rig, finder: Finder | None, target: Target | None = None, config: PaperConfig | None = None
+        self, rig: Rig, target: Target | None = None, detector: Finder | None = None, config: Config | None = None
     ) -> None:
-        self._rig, self._finder, self._config = rig, finder, config or PaperConfig()
-        self._fills_always = finder is None or isinstance(target, Plane | Surface)
+        self._rig, self._config = rig, (config or Config()).paper
+        self._fills_always = detector is None or isinstance(target, Plane | Surface)
+        self._finder = None if self._fills_always else detector
         self._pair = PinholePair(rig)
         self._reading: LaserRange | None = None
         self._seen = self._fills_always
-        self.detections: Sequence[Detection] = ()
+        self.detections: list[Detection] = []  # of the last frame, for those who draw
 
     def step(self, sample: Sample) -> Solution | None:
         if isinstance(sample, LaserRange):
             if np.isfinite(sample.range_m) and sample.range_m > 0:
                 self._reading = sample
             return None
-        self.detections = () if self._finder is None else self._finder.find(sample)
+        self.detections = [] if self._finder is None else self._finder.find(sample)
         self._seen = self._seen or bool(self.detections)
         if not self._seen:
             return Solution(sample.t_ns, Stage.SEARCHING, Status.LOST)

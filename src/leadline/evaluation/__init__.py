@@ -1,0 +1,1 @@
+"""How good it was: accuracy against truth, detection metrics, summaries and pictures."""
