@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from leadline.simulation import textures
-from leadline.simulation.optics import Float, f32
+from leadline.simulation.optics import Float, f32, spread
 from leadline.simulation.scenario import BackdropPart, TargetPart
 
 _PAD = 4  # texels around each level, so that interpolation wraps
@@ -29,26 +30,33 @@ class Atlas:
         self._left = (lefts[:-1] + _PAD - 0.5).astype(np.float32)
         self._side = np.array([len(level) for level in levels], np.float32)
 
-    def sample(self, u_m: Float, v_m: Float, footprint_m: Float) -> Float:
+    def sample(self, u_m: Float, v_m: Float, footprint_m: Float | float) -> Float:
         """The texture's mean over about ``footprint_m`` at places (h, w) on the surface."""
-        u, v = u_m / np.float32(self.period_m), v_m / np.float32(self.period_m)
-        u, v = u - np.floor(u), v - np.floor(v)
-        texel_m = np.float32(self.period_m / self.size)
-        level = np.log2(np.maximum(footprint_m, texel_m) / texel_m)
-        level = np.minimum(level, np.float32(len(self._side) - 1))
+        u, v = u_m * np.float32(1 / self.period_m), v_m * np.float32(1 / self.period_m)
+        u -= np.floor(u)
+        v -= np.floor(v)
+        last = len(self._side) - 1
+        level = np.log(f32(footprint_m) * np.float32(self.size / self.period_m)) * np.float32(1 / np.log(2))
+        level = np.clip(level, 0, last)
         low = level.astype(np.int32)
+        if low.min() == low.max():  # one scale for all: no table
+            low = np.asarray(low.flat[0])
         fine = self._look_up(u, v, low)
-        if not low.any() and not (level > 0.01).any():
+        if level.max() < 0.02:
             return fine
-        rest = level - low
-        coarse = self._look_up(u, v, np.minimum(low + 1, len(self._side) - 1))
-        fine += (coarse - fine) * (rest if fine.ndim == 2 else rest[..., None])
+        coarse = self._look_up(u, v, np.minimum(low + 1, last))
+        coarse -= fine
+        rest = f32(np.broadcast_to(level - low, u.shape))
+        coarse *= rest if fine.ndim == 2 else spread(rest)
+        fine += coarse
         return fine
 
-    def _look_up(self, u: Float, v: Float, level: np.ndarray[tuple[int, ...], np.dtype[np.int32]]) -> Float:
-        side = self._side[level]
-        x = u * side + self._left[level]
-        y = v * side + np.float32(_PAD - 0.5)
+    def _look_up(self, u: Float, v: Float, level: NDArray[np.int32]) -> Float:
+        side = self._side.take(level)
+        x = u * side
+        x += self._left.take(level)
+        y = v * side
+        y += np.float32(_PAD - 0.5)
         return f32(cv2.remap(self.picture, x, y, cv2.INTER_LINEAR))
 
 
@@ -63,7 +71,7 @@ class Material:
         colour = self._base.sample(u_m, v_m, footprint_m)
         if self._grain is None:
             return colour
-        colour *= self._grain.sample(u_m, v_m, footprint_m)[..., None]
+        colour *= spread(self._grain.sample(u_m, v_m, footprint_m))
         return colour
 
 

@@ -37,14 +37,23 @@ class WaterOptics:
 
     def veil(self, distance_m: Float | float) -> Float:
         """B (1 - exp(-k z)): (..., 3) in BGR order."""
-        return bgr(self.B) * (np.float32(1.0) - self._exponential(self.k, distance_m))
+        gone = self._exponential(self.k, distance_m)
+        if gone.ndim < 3:
+            return bgr(self.B) * (np.float32(1.0) - gone)
+        # B - B t for each channel, in one pass
+        return f32(cv2.transform(gone, np.column_stack([np.diag(-bgr(self.B)), bgr(self.B)])))
 
     @staticmethod
     def _exponential(rate: tuple[float, float, float], distance_m: Float | float) -> Float:
-        power: Float = np.asarray(distance_m, np.float32)[..., None] * -bgr(rate)
-        if power.ndim < 2:
-            return np.exp(power)
-        return f32(cv2.exp(power))  # several times np.exp's speed
+        if np.ndim(distance_m) < 2:
+            return np.exp(f32(distance_m)[..., None] * -bgr(rate))
+        # Channel by channel: NumPy is slow where the innermost axis has but three elements.
+        return f32(cv2.exp(cv2.merge([np.multiply(distance_m, np.float32(-r)) for r in rate[::-1]])))
+
+
+def spread(values: Float) -> Float:
+    """(h, w) to (h, w, 3): to multiply a picture by it, several times faster than by broadcasting."""
+    return f32(cv2.merge([values, values, values]))
 
 
 def f32(values: object) -> Float:
@@ -96,7 +105,13 @@ _GAMMA = gamma_table()
 def develop(linear: Float, rng: np.random.Generator, shot: float, read: float) -> NDArray[np.uint8]:
     """Shot noise (variance ``shot`` * signal), read noise (standard deviation), saturation, gamma, 8 bits."""
     noise = rng.standard_normal(linear.shape, np.float32)
-    sigma = cv2.sqrt(np.maximum(linear, 0) * np.float32(shot) + np.float32(read * read))
-    level = (linear + sigma * noise) * np.float32(len(_GAMMA) - 1) + np.float32(0.5)
-    image: NDArray[np.uint8] = _GAMMA[np.clip(level, 0, len(_GAMMA) - 1).astype(np.uint16)]
+    sigma = np.maximum(linear, 0)
+    sigma *= np.float32(shot)
+    sigma += np.float32(read * read)
+    noise *= np.sqrt(sigma, out=sigma)
+    noise += linear
+    noise *= np.float32(len(_GAMMA) - 1)
+    noise += np.float32(0.5)
+    level = np.clip(noise, 0, len(_GAMMA) - 1, out=noise)
+    image: NDArray[np.uint8] = np.take(_GAMMA, level.astype(np.uint16))
     return image

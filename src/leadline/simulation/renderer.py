@@ -11,10 +11,11 @@ from leadline.geometry import Pose
 from leadline.rig import Rig, Side
 from leadline.samples import Array, Image
 from leadline.simulation.lens import smear
-from leadline.simulation.optics import Float, develop, f32
+from leadline.simulation.optics import Float, develop, f32, spread
 from leadline.simulation.particles import Snow, project_side, splat
 from leadline.simulation.scenario import CameraPart
 from leadline.simulation.scene import LAMPS_LEFT_M, Patch, Scene
+from leadline.simulation.shapes import dot
 from leadline.simulation.spot import Beamed, beam_glow, spot_light
 
 Window = tuple[slice, slice]
@@ -49,11 +50,11 @@ class Eye:
         self._pixel_rad = self._pixel_angles(directions.reshape(self.height, self.width, 3))
         self.focal_px = float(1 / self._pixel_rad[self.height // 2, self.width // 2])
         radius2 = ((x - x.mean()) ** 2 + (y - y.mean()) ** 2) / (x.mean() ** 2 + y.mean() ** 2)
-        self._vignette = f32(1 - part.vignetting * radius2)[..., None]
+        self._vignette = spread(f32(1 - part.vignetting * radius2))
         forward = np.maximum(self._directions[2], 0)
         self._cone = forward**4
-        self._glow = f32(1 - 0.45 * self._directions[1] + 0.25 * forward**8)[..., None]
-        self._glow /= self._glow[self.height // 2, self.width // 2]
+        glow = f32(1 - 0.45 * self._directions[1] + 0.25 * forward**8)
+        self._glow = spread(glow / glow[self.height // 2, self.width // 2])
 
     def _as_image(self, rows: Array) -> Float:
         return np.ascontiguousarray(rows.T.reshape(3, self.height, self.width), dtype=np.float32)
@@ -69,9 +70,9 @@ class Eye:
         inverse = T_left_scene.inverse()
         R, t = inverse.R.astype(np.float32), inverse.t_m.astype(np.float32)
         origins, directions = self._origins[(slice(None), *window)], self._directions[(slice(None), *window)]
-        shape = origins.shape
-        turned = (R @ origins.reshape(3, -1) + t[:, None]).reshape(shape)
-        return turned, (R @ directions.reshape(3, -1)).reshape(shape)
+        # Row by row: a matrix product of this shape would wake threads that the other camera needs.
+        moved = np.stack([dot(row, origins) + shift for row, shift in zip(R, t, strict=True)])
+        return moved, np.stack([dot(row, directions) for row in R])
 
     def target_window(self, scene: Scene, T_left_scene: Pose) -> Window | None:
         """The part of the picture in which the target stands, a little too large; None where it is not in view."""
@@ -96,8 +97,9 @@ class Eye:
         self._scatter_forward(scene, light, distance)
         light += self._veil(scene, distance)
         self._add_snow(scene, view, snow, light, distance)
-        light *= self._vignette * np.float32(scene.gain(view.distance_m))
         gain = scene.gain(view.distance_m)
+        light *= self._vignette
+        light *= np.float32(gain)
         return develop(light, rng, self._part.shot_noise * gain, self._part.read_noise * max(gain, 1.0)), box
 
     def _behind(self, scene: Scene, view: View, lamps: Array, window: Window | None) -> tuple[Float, Float]:
@@ -119,20 +121,20 @@ class Eye:
         origins, directions = self.rays_in(view.T_left_scene, window)
         patch = scene.target_patch(origins, directions, self._pixel_rad[window])
         direct = self._lit(scene, view, lamps, patch, window, on_target=True)
-        cover = patch.coverage[..., None]
-        layer = np.concatenate([direct * cover, cover], axis=2)
-        layer = smear(layer, self._blur_px(scene, view.distance_m), view.target_motion_px)
-        alpha = layer[..., 3:]
-        light[window] += layer[..., :3] - light[window] * alpha
-        distance[window] += (patch.distance_m - distance[window]) * alpha[..., 0]
+        blur = self._blur_px(scene, view.distance_m), view.target_motion_px
+        alpha = smear(patch.coverage, *blur)
+        direct *= spread(patch.coverage)
+        light[window] *= spread(1 - alpha)
+        light[window] += smear(direct, *blur)
+        distance[window] += (patch.distance_m - distance[window]) * alpha
         return _box(patch.coverage > 0.5, window)
 
     def _lit(self, scene: Scene, view: View, lamps: Array, patch: Patch, window: Window, on_target: bool) -> Float:
         """Light (h, w, 3) from a patch after its way to the camera, with the laser's spot where it lies there."""
         day, lamp = scene.illuminate(patch, lamps, view.t_s, self._cone[window])
         through = scene.optics.transmission(patch.distance_m)
-        light: Float = through * lamp[..., None]
-        light += day[..., None]
+        light: Float = through * spread(lamp)
+        light += spread(day)
         light *= patch.reflectance
         light *= through
         if view.beam is not None and view.beam.on_target == on_target:
@@ -169,7 +171,7 @@ class Eye:
         halo = f32(cv2.resize(halo, (self.width, self.height), interpolation=cv2.INTER_LINEAR))
         astray = 1 - np.exp(np.float32(-scene.optics.forward) * distance)
         halo -= light
-        halo *= astray[..., None]
+        halo *= spread(astray)
         light += halo
 
     def _veil(self, scene: Scene, distance: Float) -> Float:

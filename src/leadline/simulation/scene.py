@@ -68,7 +68,7 @@ class Scene:
         """Two patterns that drift apart; their darker one, so that lines flicker. Light falls from above, aslant."""
         x, y, z = patch.points_m
         u, v = x + np.float32(0.35) * y, z - np.float32(0.45) * y
-        blur = np.full_like(u, 0.006)
+        blur = 0.006
         a = self._caustics[0].sample(u + np.float32(0.09 * t_s), v + np.float32(0.05 * t_s), blur)
         b = self._caustics[1].sample(u - np.float32(0.06 * t_s), v + np.float32(0.08 * t_s), blur)
         darker: Float = np.minimum(a, b) * np.float32(1.35)
