@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from leadline.rig import Rig
 from leadline.samples import Detection, Kind, LaserRange, Rejected, Sample, Solution, Stage, Status, StereoFrame, Truth
 from leadline.sinks import McapSink, SolutionsCsv
 from leadline.sources import open_source
+from leadline.wire.dive_writer import write_dive
 from leadline.wire.recording import RecordingReader
 from leadline.wire.ros2_definitions import TOPIC_TYPES
 from leadline.wire.solutions import HEADER, read_solutions
@@ -252,3 +254,15 @@ def test_unreadable_image_in_a_recording_is_skipped(tmp_path: Path) -> None:
     assert [str(notice) for notice in source.notices] == [
         f"skipped: {tmp_path / 'dive.mcap'} frame at 0.1 s: not a readable image"
     ]
+
+
+def test_a_simulated_dive_its_folder_and_its_recording_agree(tmp_path: Path) -> None:
+    simulation = open_source("sim:stress", seed=1)
+    samples = list(islice(simulation, 8))
+    assert {type(sample) for sample in samples} == {StereoFrame, LaserRange}
+    record(tmp_path / "dive.mcap", samples, simulation.rig, tuple(simulation.truth))
+    write_dive(tmp_path / "dive", samples, rig=simulation.rig, truth=simulation.truth)
+    for source in (open_source(tmp_path / "dive.mcap"), open_source(tmp_path / "dive")):
+        assert all(same(before, after) for before, after in zip(samples, source, strict=True))
+        assert source.truth == simulation.truth
+        assert source.image_size == simulation.image_size

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from wire_helpers import picture
 
 from leadline.wire.images import decode_image, encode_jpeg, encode_png, image_format
+from wire_helpers import picture
 
 
 @pytest.mark.parametrize("grey", [False, True])
