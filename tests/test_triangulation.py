@@ -92,6 +92,12 @@ def test_maximum_likelihood_fits_the_pixels_better_than_the_midpoint(rig: Rig) -
         )
 
     assert np.all(misfit(best) <= misfit(halfway) + 1e-9)
+    assert misfit(best).mean() < misfit(halfway).mean()
+    gradients = []
+    for side, q in (("left", left), ("right", right)):
+        predicted, jacobian = rig.project_with_jacobian(best, side)  # type: ignore[arg-type]
+        gradients.append(np.einsum("nki,nk->ni", jacobian, q - predicted))
+    assert np.abs(sum(gradients)).max() < 1e-6 * np.abs(gradients[0]).max()  # at the minimum they cancel
     assert misfit(best).mean() == pytest.approx(1.0, abs=0.2)  # four pixels less three coordinates leave one freedom
 
 
