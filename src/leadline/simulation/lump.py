@@ -9,7 +9,7 @@ from leadline.simulation.optics import Float
 from leadline.simulation.shapes import Trace, dot, edge, front_chart
 
 _WAVES = 6
-_ROUNDS = 6
+_NEWTON_STEPS = 5
 
 
 class Lump:
@@ -18,7 +18,7 @@ class Lump:
     def __init__(self, radius_m: float, bumps: float, rng: np.random.Generator) -> None:
         self.radius_m = radius_m
         w = rng.standard_normal((_WAVES, 3))
-        self._w = w / np.linalg.norm(w, axis=1, keepdims=True) * rng.uniform(1.5, 4.5, (_WAVES, 1))
+        self._w = w / np.linalg.norm(w, axis=1, keepdims=True) * rng.uniform(1.5, 6.0, (_WAVES, 1))
         self._phase = rng.uniform(0, 2 * np.pi, _WAVES)
         share = 1 / np.linalg.norm(self._w, axis=1)  # slopes alike at all scales
         self._a = bumps * share / share.sum()
@@ -71,7 +71,7 @@ class Lump:
         squared = dot(closest, closest)
         # From the outer ball inwards, each time onto the ball of the radius found there.
         distance = along - np.sqrt(np.maximum(np.float32(self._outer_m**2) - squared, 0))
-        for _ in range(_ROUNDS):
+        for _ in range(_NEWTON_STEPS):
             point = origins + directions * distance
             length = np.sqrt(dot(point, point))
             radial = point / length
@@ -127,18 +127,18 @@ class Lump:
         return np.asarray(tilted / np.linalg.norm(tilted))
 
     def nearest_m(self, eye_m: Array) -> Array:
-        """The best of a grid of directions, refined on grids ten times finer until 1e-9."""
+        """The best of a grid of directions, refined on ever finer ones until 1e-9."""
         towards = eye_m / np.linalg.norm(eye_m)
         across = np.linalg.svd(towards[None, :])[2][1:]
-        centre, step = np.zeros(2), 0.06
-        grid = np.stack(np.meshgrid(np.arange(-20, 21), np.arange(-20, 21)), -1).reshape(-1, 2)
+        centre, step, reach = np.zeros(2), 0.06, 20
         while step > 1e-9:
+            grid = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 2), -1).reshape(-1, 2)
             places = centre + step * grid
             n = towards + places @ across
             n /= np.linalg.norm(n, axis=1, keepdims=True)
             distance = np.linalg.norm(self.radius(n)[:, None] * n - eye_m, axis=1)
             centre = places[int(np.argmin(distance))]
-            step *= 0.15
+            step, reach = step / 3, 4
         n = towards + centre @ across
         n /= np.linalg.norm(n)
         return np.asarray(self.radius(n) * n)

@@ -78,10 +78,10 @@ class Material:
 def _grain(rng: np.random.Generator, strength: float, period_m: float) -> Atlas | None:
     if strength == 0:
         return None
-    size = 512
-    fine = np.float32(0.10 * strength) * textures.noise(rng, size, 16, 5, 0.8)
-    specks = np.clip(textures.noise(rng, size, 40, 3, 0.6) - np.float32(1.9), 0, 1)
-    scratches = textures.cracks(rng, size, 20, 0.3, 0.003)
+    size = 1024
+    fine = np.float32(0.10 * strength) * textures.noise(rng, size, 32, 5, 0.8)
+    specks = np.clip(textures.noise(rng, size, 80, 3, 0.6) - np.float32(1.9), 0, 1)
+    scratches = textures.cracks(rng, size, 40, 0.15, 0.0015)
     picture = np.exp(fine) * (1 - np.float32(min(0.5, 0.4 * strength)) * np.maximum(specks, scratches))
     return Atlas(picture / np.float32(picture.mean()), period_m)
 
@@ -89,33 +89,33 @@ def _grain(rng: np.random.Generator, strength: float, period_m: float) -> Atlas 
 def target_material(target: TargetPart, rng: np.random.Generator, size: int) -> Material:
     """The target's skin. ``size``: texels a side of the coloured texture."""
     colour = f32(target.colour[::-1])
-    grain = _grain(rng, min(1.0, target.contrast) * target.detail, 0.11)
+    grain = _grain(rng, min(1.0, target.contrast) * target.detail, 0.21)
     if target.shape == "plane":
         return Material(Atlas(_hull_paint(rng, size, colour, target.contrast), 4.0), grain)
     if target.shape == "cylinder":
         return Material(Atlas(_pile_crust(rng, size, colour, target.contrast), 1.5), grain)
     period_m = 3.2 * target.diameter_m / 2  # the chart of a ball is 2 sqrt(2) radii wide
-    return Material(Atlas(textures.worn_paint(rng, size, colour, target.contrast, 9), period_m), grain)
+    return Material(Atlas(textures.worn_paint(rng, size, colour, target.contrast, octaves=9), period_m), grain)
 
 
 def _hull_paint(rng: np.random.Generator, size: int, colour: Float, contrast: float) -> Float:
     """Plates with weld seams, patches of bare primer, barnacles."""
-    paint = textures.worn_paint(rng, size, colour, contrast, 9)
-    seam = np.abs((np.arange(size) + size / 8) % (size / 2) - size / 4) < size / 700
-    weld = np.maximum(seam[None, :] & (np.arange(size)[:, None] < size / 2), seam[:, None]).astype(np.float32)
-    weld = f32(cv2.GaussianBlur(weld, (0, 0), size / 1500))
-    primer = np.clip(3 * textures.noise(rng, size, 10, 7, 0.6) - np.float32(5), 0, 1)
-    barnacles = np.clip(3 * textures.noise(rng, size, size // 12, 2, 0.5) - np.float32(6.5), 0, 1)
-    barnacles *= np.clip(textures.noise(rng, size, 5, 4, 0.5), 0, 1)
+    paint = textures.worn_paint(rng, size, colour, contrast, octaves=9, lines=0.3)
+    at = np.arange(size) * (4 / size)  # metres
+    seam = np.minimum(np.abs(at[None, :] % 2 - 0.3), np.abs(at[:, None] % 1.0 - 0.4))
+    weld = np.exp(np.float32(-0.5) * f32(seam / 0.006) ** 2) * (1 + np.float32(0.3) * textures.noise(rng, size, 256, 2))
+    primer = np.clip(3 * textures.noise(rng, size, 10, 7, 0.6) - np.float32(5.5), 0, 1)
+    barnacles = np.clip(3 * textures.noise(rng, size, size // 10, 2, 0.4) - np.float32(5.5), 0, 1)
+    barnacles *= np.clip(textures.noise(rng, size, 5, 4, 0.5) + np.float32(0.4), 0, 1)
     amount = np.float32(min(1.0, contrast))
-    paint *= (1 - np.float32(0.45) * amount * weld)[..., None]
-    paint += (f32([0.34, 0.36, 0.38]) - paint) * (np.float32(0.6) * amount * np.maximum(primer, barnacles))[..., None]
+    paint *= spread(1 - np.float32(0.4) * amount * weld)
+    paint += (f32([0.34, 0.36, 0.38]) - paint) * spread(np.float32(0.6) * amount * np.maximum(primer, barnacles))
     return paint
 
 
 def _pile_crust(rng: np.random.Generator, size: int, colour: Float, contrast: float) -> Float:
     """Concrete or steel with weed and mussels."""
-    paint = textures.worn_paint(rng, size, colour, contrast, 9)
+    paint = textures.worn_paint(rng, size, colour, contrast, octaves=9, lines=0.5)
     weed = np.clip(textures.noise(rng, size, 6, 8, 0.68) + np.float32(0.2), 0, 1)
     mussels = np.clip(2 * textures.noise(rng, size, size // 16, 3, 0.6) - np.float32(2.2), 0, 1)
     amount = np.float32(min(1.0, contrast))

@@ -132,7 +132,7 @@ def _skin(rng: np.random.Generator, u: Float, v: Float, depth: Float, radius: fl
     paint = np.clip(paint * rng.uniform(0.6, 1.25) + rng.normal(0, 0.03, 3), 0.02, 0.9).astype(np.float32)
     contrast = float(rng.choice([0.0, 0.3, 0.7, 1.2], p=[0.2, 0.35, 0.3, 0.15]))
     size = 256 if radius > 64 else 128
-    chart = textures.worn_paint(rng, size, paint, contrast, 6)
+    chart = textures.worn_paint(rng, size, paint, contrast, octaves=6)
     turn = rng.uniform(0, 2 * np.pi)
     cos, sin = np.float32(np.cos(turn)), np.float32(np.sin(turn))
     a, b = cos * u + sin * v, cos * v - sin * u

@@ -181,7 +181,7 @@ class Eye:
 
     def _add_snow(self, scene: Scene, view: View, snow: Snow, light: Float, distance: Float) -> None:
         places, radius = snow.seen(view.t_s, view.T_left_scene)
-        share, away = np.full(len(places), 0.5), np.linalg.norm(places, axis=1)
+        share, away = np.full(len(places), 0.3), np.linalg.norm(places, axis=1)
         pixels = project_side(self.rig, self.side, places)
         size_px = radius / away * self.focal_px
         sigma = np.sqrt(size_px**2 * 0.5 + 0.45**2 + (self._defocus_px(away) / 4) ** 2)

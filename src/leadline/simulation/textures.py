@@ -70,10 +70,13 @@ def _wraps(points: NDArray[np.float64], size: int) -> list[tuple[int, int]]:
     ]
 
 
-def worn_paint(rng: np.random.Generator, size: int, colour_bgr: Float, contrast: float, octaves: int = 8) -> Float:
+def worn_paint(
+    rng: np.random.Generator, size: int, colour_bgr: Float, contrast: float, *, octaves: int = 8, lines: float = 1.0
+) -> Float:
     """(size, size, 3) reflectance of a painted or plastic surface with blotches, grain, cracks and scratches.
 
-    ``contrast`` 0 gives one even colour, 1 the look of a ball that has been in the sea for a year.
+    ``contrast`` 0 gives one even colour, 1 the look of a ball that has been in the sea for a year. ``lines`` scales the
+    cracks, whose lengths are fractions of the texture.
     """
     shade = np.float32(0.14 * contrast) * noise(rng, size, 6, octaves, 0.62)
     shade += np.float32(0.09 * contrast) * noise(rng, size, max(16, size // 16), 4, 0.8)
@@ -82,8 +85,8 @@ def worn_paint(rng: np.random.Generator, size: int, colour_bgr: Float, contrast:
         even: Float = colour_bgr * shade[..., None]
         return even
     stain = np.clip(noise(rng, size, 5, 5, 0.6) - np.float32(0.9), 0, 1) * np.float32(0.5)
-    dark = cracks(rng, size, 16, 0.2, 0.003) * np.float32(0.8)
-    light = cracks(rng, size, 8, 0.15, 0.006) * np.float32(0.8 * min(contrast, 1.0))
+    dark = cracks(rng, size, round(16 / lines), 0.2 * lines, 0.0025 * lines) * np.float32(0.8)
+    light = cracks(rng, size, round(8 / lines), 0.13 * lines, 0.004 * lines) * np.float32(0.8 * min(contrast, 1.0))
     shade *= 1 - np.maximum(stain, dark) * np.float32(min(contrast, 1.0))
     picture: Float = colour_bgr * (shade * (1 - light))[..., None]
     picture += (np.float32(0.4) * colour_bgr + np.float32(0.4)) * light[..., None]
