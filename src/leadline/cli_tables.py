@@ -1,0 +1,90 @@
+"""What the command line shows at the end of a run (Rich)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from rich.table import Table
+
+from leadline.evaluation.accuracy import STAGE_NAMES, Errors, Row, by_stage
+from leadline.pipeline import Report
+
+MM = 1000.0
+HEAD = ("stage", "solutions", "mean |error|", "RMS", "largest", "stated sigma", "within 2 sigma", "silent errors")
+NAMES = {"fused": "leadline", "paper": "the paper's method"}
+
+
+def tables(report: Report) -> Iterator[Table]:
+    """Errors by stage where the truth is known, ours and the paper's; else the stages with their stated sigma."""
+    known = {name: errors for name, errors in report.errors.items() if len(errors.t_s)}
+    if not known:
+        yield _stages(report.summary)
+        return
+    for name, errors in known.items():
+        yield _errors(f"{NAMES.get(name, name)}: range against the nearest surface [mm]", by_stage(errors))
+        if name == "paper":
+            own = by_stage(errors, own_point=True)
+            yield _errors(f"{NAMES[name]}: D against its own point of the surface [mm]", own)
+
+
+def beside(ours: Errors, paper: Errors) -> Table:
+    """Ours beside the paper's method: mean and largest |error| by the stage that each of them was in, millimetres."""
+    table = Table(title="mean |error| (largest) by stage [mm]", title_justify="left")
+    for name in ("stage", "leadline: nearest surface", "paper: own point", "paper: nearest surface"):
+        table.add_column(name, justify="left" if name == "stage" else "right")
+    columns = [_by_name(by_stage(ours)), _by_name(by_stage(paper, own_point=True)), _by_name(by_stage(paper))]
+    for name in [*STAGE_NAMES.values(), "all"]:
+        if any(name in column for column in columns):
+            cells = [_mean(column.get(name)) for column in columns]
+            table.add_row(name, *cells, end_section=name == STAGE_NAMES[max(STAGE_NAMES)])
+    return table
+
+
+def _by_name(rows: list[Row]) -> dict[str, Row]:
+    return {row.name: row for row in rows}
+
+
+def _mean(row: Row | None) -> str:
+    return "-" if row is None else f"{MM * row.mean_m:.1f} ({MM * row.max_m:.1f}), n = {row.count}"
+
+
+def _errors(title: str, rows: list[Row]) -> Table:
+    table = Table(title=title, title_justify="left")
+    for name in HEAD:
+        table.add_column(name, justify="left" if name == "stage" else "right")
+    for row in rows:
+        numbers = [f"{MM * value:.1f}" for value in (row.mean_m, row.rms_m, row.max_m, row.sigma_m)]
+        table.add_row(row.name, str(row.count), *numbers, f"{row.coverage:.0%}", str(row.silent))
+    return table
+
+
+def _stages(summary: Mapping[str, Any]) -> Table:
+    table = Table(title="solutions by stage", title_justify="left")
+    for name in ("stage", "solutions"):
+        table.add_column(name, justify="left" if name == "stage" else "right")
+    for stage, name in STAGE_NAMES.items():
+        count = summary["stages"][str(int(stage))]
+        if count:
+            table.add_row(name, str(count))
+    return table
+
+
+def remarks(summary: Mapping[str, Any]) -> Iterator[str]:
+    """One line each: how many, how certain, how fast, what a pixel costs, what was skipped."""
+    status = ", ".join(f"{count} {name}" for name, count in summary["status"].items() if count) or "none"
+    yield f"{summary['frames']} frames, {summary['readings']} laser readings; solutions: {status}"
+    sigma = summary["range_sigma_m"]
+    if sigma is not None:
+        yield f"stated range sigma: median {MM * sigma['median']:.2f} mm, largest {MM * sigma['max']:.2f} mm"
+    cost = summary["pixel_cost"]
+    if cost is not None:
+        yield f"one pixel of disparity is {MM * cost['m_per_px']:.3g} mm at the median range of {cost['range_m']:.2f} m"
+    step = summary["step_ms"]
+    if step is not None:
+        yield f"{summary['wall_s']:.1f} s, {summary['frames_per_s']:.1f} frames/s; a step takes {step['median']:.0f} ms"
+    for kind, count in summary["notices"]["counts"].items():
+        first = next(text for text in summary["notices"]["first"] if text.startswith(kind))
+        yield f"{count} {kind}, the first: {first.removeprefix(kind + ': ')}"
+    if summary["interrupted"]:
+        yield "interrupted: everything up to there is kept"

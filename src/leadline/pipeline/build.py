@@ -1,0 +1,151 @@
+"""From a user's options to a source, a rig and a localizer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+from leadline.config import Config
+from leadline.errors import InputError
+from leadline.localizer import Localizer
+from leadline.paper import PaperLocalizer
+from leadline.recognition.boxes import Boxes
+from leadline.rig import Rig, shipped_rigs
+from leadline.samples import Detection, Sample, Solution, StereoFrame
+from leadline.sources import Source, open_source, require_size
+from leadline.sources.simulated import SimulatedSource
+from leadline.target import Cylinder, Plane, Sphere, Surface, Target, parse_target
+from leadline.water import Water, WaterState
+
+Method = Literal["fused", "paper"]
+
+
+class Steps(Protocol):
+    """What the loop drives: ``Localizer`` or ``PaperLocalizer``."""
+
+    detections: list[Detection]
+
+    def step(self, sample: Sample) -> Solution | None: ...
+
+
+class Finder(Protocol):
+    def find(self, frame: StereoFrame) -> list[Detection]: ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Job:
+    """A run about to start. ``methods``: the main one first, others are run beside it for comparison."""
+
+    source: Source
+    rig: Rig
+    target: Target
+    config: Config
+    methods: dict[str, Steps]
+    seed: int
+    filtered: bool = True
+
+
+def build_job(
+    spec: str,
+    *,
+    rig_file: str | None = None,
+    target: str | None = None,
+    methods: tuple[Method, ...] = ("fused",),
+    model: Path | None = None,
+    boxes: Path | None = None,
+    config: Config | None = None,
+    water_state: str | None = None,
+    filtered: bool = True,
+    real_time: bool = False,
+    seed: int = 0,
+) -> Job:
+    """Open and check everything that a run needs before it writes its first file. InputError says what is wrong."""
+    if model is not None and boxes is not None:
+        raise InputError("--model and --boxes are two answers to one question", fix="give one of them")
+    config = config or Config()
+    source = open_source(spec, seed=seed, real_time=real_time)
+    rig = _rig(source, rig_file, water_state)
+    require_size(rig, source)
+    shape = _target(source, target)
+    finder = _finder(shape, model, boxes, config)
+    return Job(
+        source=source,
+        rig=rig,
+        target=shape,
+        config=config,
+        methods={name: _localizer(name, rig, shape, finder, config, filtered) for name in methods},
+        seed=seed,
+        filtered=filtered,
+    )
+
+
+def _rig(source: Source, rig_file: str | None, water_state: str | None) -> Rig:
+    if rig_file is None and source.rig is None:
+        names = ", ".join(shipped_rigs())
+        raise InputError("the source has no rig", source.name, f"give --rig with a rig file, or one of {names}")
+    rig = source.rig if rig_file is None else Rig.load(rig_file)
+    assert rig is not None
+    if water_state is None:
+        return rig
+    try:
+        return rig.in_water(Water.from_state(_water_state(water_state), rig.laser_wavelength_nm))
+    except ValueError as error:
+        fix = "use salinity=0,temperature=20,depth=0"
+        raise InputError(str(error), f"--water-state {water_state}", fix) from error
+
+
+def _water_state(text: str) -> WaterState:
+    """`salinity=35,temperature=12,depth=30` (psu, C, m), in any order; what is left out is 0, but the temperature."""
+    values: dict[str, float] = {}
+    for part in text.split(","):
+        name, equals, number = part.strip().partition("=")
+        if not equals or name not in ("salinity", "temperature", "depth") or name in values:
+            raise ValueError(f"'{part}' is not one of salinity=, temperature=, depth=")
+        try:
+            values[name] = float(number)
+        except ValueError:
+            raise ValueError(f"'{number}' is not a number") from None
+    if "temperature" not in values:
+        raise ValueError("the temperature is missing")
+    return WaterState(values["temperature"], values.get("salinity", 0.0), values.get("depth", 0.0))
+
+
+def _target(source: Source, text: str | None) -> Target:
+    """What the user says; else what is in the simulated scene; else nothing is assumed."""
+    if text is not None:
+        try:
+            return parse_target(text)
+        except ValueError as error:
+            raise InputError(str(error), "--target") from error
+    if not isinstance(source, SimulatedSource):
+        return Surface()
+    part = source.dive.scenario.target
+    match part.shape:
+        case "sphere":
+            return Sphere(part.diameter_m)
+        case "cylinder":
+            return Cylinder(part.diameter_m)
+        case "plane":
+            return Plane()
+    return Surface()
+
+
+def _finder(target: Target, model: Path | None, boxes: Path | None, config: Config) -> Finder | None:
+    """Boxes or a model where given; the shipped ball and buoy detector, but for a hull or a pile: they are the view."""
+    if boxes is not None:
+        return Boxes(boxes)
+    if model is None and isinstance(target, Plane | Cylinder):
+        return None
+    from leadline.recognition.detector import Detector  # noqa: PLC0415  not loaded where boxes are given
+
+    c = config.detector
+    return Detector(model, score=c.score, nms_iou=c.nms_iou, threads=c.threads)
+
+
+def _localizer(
+    method: Method, rig: Rig, target: Target, finder: Finder | None, config: Config, filtered: bool
+) -> Steps:
+    if method == "paper":
+        return PaperLocalizer(rig, target, finder, config)
+    return Localizer(rig, target, finder, config, filtered=filtered)

@@ -1,0 +1,15 @@
+"""The demonstration: a simulated approach, ours and the paper's method side by side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from leadline.pipeline.build import build_job
+from leadline.pipeline.loop import Progress, Report, run
+
+SOURCE = "sim:demo"
+
+
+def demo(out: Path, progress: Progress = lambda done, total: None, *, source: str = SOURCE, seed: int = 0) -> Report:
+    """Simulate, locate and write a run's folder. Needs no file, no network and no hardware."""
+    return run(build_job(source, methods=("fused", "paper"), seed=seed), out, progress=progress)

@@ -1,0 +1,44 @@
+"""A run's folder: what is in it, and when an existing folder may be taken."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from leadline.errors import InputError
+
+SOLUTIONS, CONFIG, RIG, SUMMARY, PICTURE, RECORDING = (
+    "solutions.csv", "config.yaml", "rig.yaml", "summary.json", "run.png", "dive.mcap"
+)  # fmt: skip
+
+
+def solutions_name(method: str) -> str:
+    """The table of a method that runs beside the main one."""
+    return f"solutions_{method}.csv"
+
+
+OURS = (SOLUTIONS, CONFIG, RIG, SUMMARY, PICTURE, RECORDING, solutions_name("paper"))
+
+
+def check_folder(out: Path, source: str) -> None:
+    """InputError unless ``out`` is new, empty, or holds an earlier run (its files are then replaced, others stay).
+
+    Never the folder of the source itself.
+    """
+    if Path(source).exists() and (
+        Path(source).resolve() == out.resolve() or Path(source).resolve().parent == out.resolve()
+    ):
+        raise InputError("this is where the source is", str(out), "give another folder to --out")
+    if out.exists() and not out.is_dir():
+        raise InputError("this is a file", str(out), "give a folder to --out")
+    if out.is_dir() and any(out.iterdir()) and not (out / SOLUTIONS).is_file():
+        raise InputError("this folder holds something that is not a run", str(out), "give a new folder to --out")
+
+
+def make_folder(out: Path) -> None:
+    """Make the folder and take an earlier run's files out of it, so that no file of two runs stand side by side."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for name in OURS:
+            (out / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot be written ({error.strerror})", str(out), "give a folder that can be") from error

@@ -1,0 +1,190 @@
+"""The loop: for each sample of the source, the localizer's step, and every sink gets both."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leadline.errors import InputError
+from leadline.evaluation.accuracy import Errors, compare
+from leadline.evaluation.summary import accuracy, pixel_cost_m, rates, step_times_ms, summarise, versions
+from leadline.pipeline import folder
+from leadline.pipeline.build import Job, Steps
+from leadline.rig import Rig
+from leadline.samples import Array, LaserRange, Sample, Solution, StereoFrame
+from leadline.sinks import McapSink, Sink, SolutionsCsv
+from leadline.sources import count_notices, frame_size
+
+NOTICES_KEPT = 100
+Progress = Callable[[int, int | None], None]  # frames done, frames in all (None: not known)
+
+
+@dataclass(slots=True, eq=False)
+class Track:
+    """One method on its way through the samples."""
+
+    name: str
+    localizer: Steps
+    sinks: list[Sink]
+    solutions: list[Solution] = field(default_factory=list)
+    steps_s: list[float] = field(default_factory=list)
+
+    def take(self, sample: Sample) -> None:
+        for sink in self.sinks:
+            sink.sample(sample)
+        start_s = time.perf_counter()
+        solution = self.localizer.step(sample)
+        if isinstance(sample, StereoFrame):
+            self.steps_s.append(time.perf_counter() - start_s)
+            for sink in self.sinks:
+                sink.detections(sample, self.localizer.detections)
+        if solution is not None:
+            self.solutions.append(solution)
+            for sink in self.sinks:
+                sink.solution(solution)
+
+
+@dataclass(slots=True, eq=False)
+class Passed:
+    """What came by: stamps of the frames, and of the readings with the distance to the lit point."""
+
+    frames_ns: list[int] = field(default_factory=list)
+    readings_ns: list[int] = field(default_factory=list)
+    lit_m: list[float] = field(default_factory=list)
+    interrupted: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Report:
+    """What a run came to; ``errors`` by method, empty arrays without truth; ``files`` as written."""
+
+    out: Path
+    summary: dict[str, Any]
+    errors: dict[str, Errors]
+    files: list[Path]
+
+
+def run(job: Job, out: Path, *, record: bool = False, progress: Progress = lambda done, total: None) -> Report:
+    """Take the source to its end, or to Ctrl-C, and write the run's folder. InputError where that cannot be done."""
+    folder.check_folder(out, job.source.name)
+    folder.make_folder(out)
+    (out / folder.CONFIG).write_text(job.config.dump(), encoding="utf-8")
+    job.rig.save(out / folder.RIG)
+    start_s = time.perf_counter()
+    with ExitStack() as stack:
+        tracks = _tracks(job, out, record, stack)
+        passed = _drive(job, tracks, progress)
+    wall_s = time.perf_counter() - start_s
+    errors = {track.name: compare(track.solutions, job.source.truth, job.target) for track in tracks}
+    summary = _summary(job, tracks, passed, errors, wall_s)
+    (out / folder.SUMMARY).write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+    _plot(job, tracks, passed, errors, out / folder.PICTURE)
+    return Report(out, summary, errors, sorted(path for path in out.iterdir() if path.name in folder.OURS))
+
+
+def _tracks(job: Job, out: Path, record: bool, stack: ExitStack) -> list[Track]:
+    tracks = []
+    for number, (name, localizer) in enumerate(job.methods.items()):
+        main = number == 0
+        sinks: list[Sink] = [SolutionsCsv(out / (folder.SOLUTIONS if main else folder.solutions_name(name)))]
+        stack.callback(sinks[0].close)
+        if main and record:
+            sinks.append(McapSink(out / folder.RECORDING, job.rig, job.source.truth))
+            stack.callback(sinks[1].close)
+        tracks.append(Track(name, localizer, sinks))
+    return tracks
+
+
+def _drive(job: Job, tracks: list[Track], progress: Progress) -> Passed:
+    passed = Passed()
+    try:
+        for sample in job.source:
+            if isinstance(sample, StereoFrame):
+                _require_size(job.rig, sample)
+                passed.frames_ns.append(sample.t_ns)
+            else:
+                _note_reading(passed, job.rig, sample)
+            for track in tracks:
+                track.take(sample)
+            if isinstance(sample, StereoFrame):
+                progress(len(passed.frames_ns), job.source.frame_count)
+    except KeyboardInterrupt:
+        passed.interrupted = True
+    return passed
+
+
+def _note_reading(passed: Passed, rig: Rig, reading: LaserRange) -> None:
+    passed.readings_ns.append(reading.t_ns)
+    lit = float("nan") if rig.laser is None else float(np.linalg.norm(rig.laser.point_m(reading.range_m)))
+    passed.lit_m.append(lit)
+
+
+def _require_size(rig: Rig, frame: StereoFrame) -> None:
+    """A source checks what it knows beforehand; a frame of another size must not slip through to the geometry."""
+    size, wanted = frame_size(frame), (rig.left.width, rig.left.height)
+    if size != wanted:
+        raise InputError(
+            f"the image is {size[0]}x{size[1]}, the rig's left camera is {wanted[0]}x{wanted[1]}",
+            f"frame {frame.name or frame.t_s}", "give the rig that was calibrated at this image size",
+        )  # fmt: skip
+
+
+def _summary(job: Job, tracks: list[Track], passed: Passed, errors: dict[str, Errors], wall_s: float) -> dict[str, Any]:
+    main = tracks[0]
+    notices = job.source.notices
+    summary: dict[str, Any] = {
+        "source": job.source.name,
+        "method": main.name,
+        "target": job.target.name,
+        "filtered": job.filtered,
+        "seed": job.seed,
+        "interrupted": passed.interrupted,
+        "frames": len(passed.frames_ns),
+        "readings": len(passed.readings_ns),
+        **summarise(main.solutions),
+        "notices": {"counts": count_notices(notices), "first": [str(notice) for notice in notices[:NOTICES_KEPT]]},
+        "frame_rate_hz": rates(passed.frames_ns),
+        "reading_rate_hz": rates(passed.readings_ns),
+        "wall_s": wall_s,
+        "frames_per_s": len(passed.frames_ns) / wall_s if wall_s > 0 else None,
+        "step_ms": step_times_ms(main.steps_s),
+        "pixel_cost": _pixel_cost(job.rig, main.solutions),
+        "accuracy": accuracy(errors[main.name], own_point=main.name == "paper"),
+        "versions": versions(),
+    }
+    if len(tracks) > 1:
+        summary["beside"] = {
+            track.name: {
+                **summarise(track.solutions),
+                "step_ms": step_times_ms(track.steps_s),
+                "accuracy": accuracy(errors[track.name], own_point=track.name == "paper"),
+            }
+            for track in tracks[1:]
+        }
+    return summary
+
+
+def _pixel_cost(rig: Rig, solutions: list[Solution]) -> dict[str, float] | None:
+    """What a pixel of disparity costs at the run's median range."""
+    ranges = [s.range_m for s in solutions if s.range_m is not None]
+    if not ranges:
+        return None
+    range_m = float(np.median(ranges))
+    cost = pixel_cost_m(rig, range_m)
+    return None if cost is None else {"range_m": range_m, "m_per_px": cost}
+
+
+def _plot(job: Job, tracks: list[Track], passed: Passed, errors: dict[str, Errors], path: Path) -> None:
+    from leadline.evaluation.plot import Curve, Picture, plot_run  # noqa: PLC0415  matplotlib is slow to import
+
+    curves = [Curve(t.name, t.solutions, errors[t.name], t.name == "paper") for t in tracks]
+    laser: Array = np.column_stack([np.array(passed.readings_ns, dtype=np.float64) / 1e9, passed.lit_m])
+    title = f"{job.source.name} · {job.target.name} · {curves[0].name}"
+    plot_run(path, Picture(title, curves[0], job.source.truth, laser, curves[1] if len(curves) > 1 else None))
