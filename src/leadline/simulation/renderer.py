@@ -47,8 +47,8 @@ class Eye:
         directions[~np.isfinite(directions).all(1)] = [0.0, 0.0, -1.0]  # such a pixel looks at nothing
         self._origins = self._as_image(np.nan_to_num(origins))
         self._directions = self._as_image(directions)
-        self._pixel_rad = self._pixel_angles(directions.reshape(self.height, self.width, 3))
-        self.focal_px = float(1 / self._pixel_rad[self.height // 2, self.width // 2])
+        self.pixel_rad = self._pixel_angles(directions.reshape(self.height, self.width, 3))
+        self.focal_px = float(1 / self.pixel_rad[self.height // 2, self.width // 2])
         radius2 = ((x - x.mean()) ** 2 + (y - y.mean()) ** 2) / (x.mean() ** 2 + y.mean() ** 2)
         self._vignette = spread(f32(1 - part.vignetting * radius2))
         forward = np.maximum(self._directions[2], 0)
@@ -78,7 +78,7 @@ class Eye:
         """The part of the picture in which the target stands, a little too large; None where it is not in view."""
         rows, columns = slice(None, None, _COARSE), slice(None, None, _COARSE)
         origins, directions = self.rays_in(T_left_scene, (rows, columns))
-        cover = scene.shape.coverage(origins, directions, self._pixel_rad[rows, columns] * np.float32(3 * _COARSE))
+        cover = scene.shape.coverage(origins, directions, self.pixel_rad[rows, columns] * np.float32(3 * _COARSE))
         y, x = np.nonzero(cover > 0)
         if len(x) == 0:
             return None
@@ -108,7 +108,7 @@ class Eye:
         covered = window == (slice(0, self.height), slice(0, self.width)) and scene.shape.reach_m == 0
         if scene.backdrop is None or covered:
             return np.zeros((*size, 3), np.float32), np.full(size, 60.0, np.float32)
-        patch = scene.backdrop.patch(*self.rays_in(view.T_left_scene), self._pixel_rad)
+        patch = scene.backdrop.patch(*self.rays_in(view.T_left_scene), self.pixel_rad)
         everything = (slice(0, self.height), slice(0, self.width))
         light = self._lit(scene, view, lamps, patch, everything, on_target=False)
         distance = float(np.median(patch.distance_m[::_COARSE, ::_COARSE]))
@@ -119,7 +119,7 @@ class Eye:
     ) -> Box | None:
         """Lay the target over ``light`` and ``distance`` in place; the box of its pixels."""
         origins, directions = self.rays_in(view.T_left_scene, window)
-        patch = scene.target_patch(origins, directions, self._pixel_rad[window])
+        patch = scene.target_patch(origins, directions, self.pixel_rad[window])
         direct = self._lit(scene, view, lamps, patch, window, on_target=True)
         blur = self._blur_px(scene, view.distance_m), view.target_motion_px
         alpha = smear(patch.coverage, *blur)
@@ -152,7 +152,7 @@ class Eye:
         if (high <= low).any():
             return
         part = (slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1])))
-        spot = spot_light(scene, beam, *self.rays_in(view.T_left_scene, part), self._pixel_rad[part])
+        spot = spot_light(scene, beam, *self.rays_in(view.T_left_scene, part), self.pixel_rad[part])
         light[part[0].start - top : part[0].stop - top, part[1].start - left : part[1].stop - left] += spot
 
     def _blur_px(self, scene: Scene, distance_m: float) -> float:
