@@ -22,23 +22,28 @@ def tables(report: Report) -> Iterator[Table]:
         yield _stages(report.summary)
         return
     for name, errors in known.items():
-        yield _errors(f"{NAMES.get(name, name)}: range against the nearest surface [mm]", by_stage(errors))
+        yield _errors(f"{NAMES.get(name, name)}: range against the nearest surface, mm", by_stage(errors))
         if name == "paper":
             own = by_stage(errors, own_point=True)
-            yield _errors(f"{NAMES[name]}: D against its own point of the surface [mm]", own)
+            yield _errors(f"{NAMES[name]}: D against its own point of the surface, mm", own)
 
 
 def beside(ours: Errors, paper: Errors) -> Table:
-    """Ours beside the paper's method: mean and largest |error| by the stage that each of them was in, millimetres."""
-    table = Table(title="mean |error| (largest) by stage [mm]", title_justify="left")
-    for name in ("stage", "leadline: nearest surface", "paper: own point", "paper: nearest surface"):
-        table.add_column(name, justify="left" if name == "stage" else "right")
-    columns = [_by_name(by_stage(ours)), _by_name(by_stage(paper, own_point=True)), _by_name(by_stage(paper))]
+    """Ours beside the paper's method, each by the stage that it was in itself, millimetres."""
+    table = Table(title="|range error| by stage in mm: ours beside the paper's method", title_justify="left")
+    table.add_column("stage")
+    for name in ("n", "ours\nnearest surface", "n", "paper\nits own point", "paper\nnearest surface"):
+        table.add_column(name if name == "n" else f"{name}\nmean (max)", justify="right")
+    a, own, near = (_by_name(rows) for rows in (by_stage(ours), by_stage(paper, own_point=True), by_stage(paper)))
     for name in [*STAGE_NAMES.values(), "all"]:
-        if any(name in column for column in columns):
-            cells = [_mean(column.get(name)) for column in columns]
-            table.add_row(name, *cells, end_section=name == STAGE_NAMES[max(STAGE_NAMES)])
+        if name in a or name in own:
+            cells = [_count(a.get(name)), _mean(a.get(name)), _count(own.get(name))]
+            table.add_row(name, *cells, _mean(own.get(name)), _mean(near.get(name)))
     return table
+
+
+def _count(row: Row | None) -> str:
+    return "" if row is None else str(row.count)
 
 
 def _by_name(rows: list[Row]) -> dict[str, Row]:
@@ -46,7 +51,7 @@ def _by_name(rows: list[Row]) -> dict[str, Row]:
 
 
 def _mean(row: Row | None) -> str:
-    return "-" if row is None else f"{MM * row.mean_m:.1f} ({MM * row.max_m:.1f}), n = {row.count}"
+    return "" if row is None else f"{MM * row.mean_m:.1f} ({MM * row.max_m:.1f})"
 
 
 def _errors(title: str, rows: list[Row]) -> Table:
@@ -84,6 +89,8 @@ def remarks(summary: Mapping[str, Any]) -> Iterator[str]:
     if step is not None:
         yield f"{summary['wall_s']:.1f} s, {summary['frames_per_s']:.1f} frames/s; a step takes {step['median']:.0f} ms"
     for kind, count in summary["notices"]["counts"].items():
+        if kind == "late":  # two sensors of different latency: as it should be, and counted in the summary
+            continue
         first = next(text for text in summary["notices"]["first"] if text.startswith(kind))
         yield f"{count} {kind}, the first: {first.removeprefix(kind + ': ')}"
     if summary["interrupted"]:

@@ -75,7 +75,8 @@ def _start_s(picture: Picture) -> float:
 
 
 def _stage_bands(axes: Axes, solutions: Sequence[Solution], start_s: float) -> None:
-    runs = [(stage, [s.t_s - start_s for s in group]) for stage, group in groupby(solutions, lambda s: s.stage)]
+    ordered = sorted(solutions, key=lambda s: s.t_ns)
+    runs = [(stage, [s.t_s - start_s for s in group]) for stage, group in groupby(ordered, lambda s: s.stage)]
     for i, (stage, times) in enumerate(runs):
         end = runs[i + 1][1][0] if i + 1 < len(runs) else times[-1]
         if stage in STAGE_COLOURS:
@@ -132,8 +133,11 @@ def _errors(axes: Axes, picture: Picture, start_s: float) -> None:
         name = f"{curve.name}, own point" if curve.own_point else curve.name
         axes.plot(when, error, marker, color=colour, markersize=size, alpha=0.85, label=name)
         _beyond(axes, when, error, limit, colour)
+    if picture.other is not None:  # centimetres beside millimetres
+        axes.set_yscale("symlog", linthresh=10, linscale=1.5)
+        axes.yaxis.set_major_formatter("{x:g}")
     axes.set_ylim(-limit, limit)
-    axes.set_ylabel("range error [mm]")
+    axes.set_ylabel("range error [mm]" if picture.other is None else "range error [mm], log beyond 10")
     axes.legend(loc="upper right", fontsize=9, framealpha=0.9, ncols=3)
 
 
@@ -168,7 +172,7 @@ def _track(solutions: Sequence[Solution]) -> tuple[Array, Array, Array]:
         (s.t_s, nan, nan)
         if s.status is Status.LOST or s.range_m is None
         else (s.t_s, s.range_m, s.range_sigma_m or nan)
-        for s in solutions
+        for s in sorted(solutions, key=lambda s: s.t_ns)  # a late sample's solution stands after newer ones
     ]
     columns = np.array(rows, dtype=np.float64).reshape(-1, 3).T
     return columns[0], columns[1], columns[2]

@@ -9,7 +9,7 @@ import numpy as np
 from leadline.config import Config
 from leadline.paper.matching import NEIGHBOURS, match_block, smooth
 from leadline.paper.pinhole_pair import PinholePair
-from leadline.paper.spot import find_spot
+from leadline.paper.spot import find_spots
 from leadline.rig import Rig
 from leadline.samples import (
     NS_PER_S,
@@ -117,16 +117,25 @@ class PaperLocalizer:
         return None if disparity is None else self._pair.point_m(*pixel, disparity)
 
     def _spot_point_m(self, left: Image, right: Image) -> Array | None:
-        """Stereo at the spot: its whole-pixel centres in both images; None where they are no pair."""
+        """Stereo at the spot: its whole-pixel centres, the brightest in the target's box and its like in the right."""
         c = self._config
-        spots = [find_spot(image, c.spot_grey, c.spot_circularity, c.spot_area_px) for image in (left, right)]
-        if spots[0] is None or spots[1] is None:
+        spots = [find_spots(image, c.spot_grey, c.spot_circularity, c.spot_area_px) for image in (left, right)]
+        spot = next((q_px for q_px in spots[0] if self._in_box(q_px)), None)
+        if spot is None:
             return None
-        (u, v), (u_right, v_right) = spots[0], spots[1]
         near, far = self._pair.disparity_px(c.nearest_m), self._pair.disparity_px(c.farthest_m)
-        if abs(v - v_right) > c.spot_rows_px or not far <= u - u_right <= near:
-            return None
-        return self._pair.point_m(u, v, u - u_right)
+        for u_right, v_right in spots[1]:
+            if abs(spot[1] - v_right) <= c.spot_rows_px and far <= spot[0] - u_right <= near:
+                return self._pair.point_m(*spot, spot[0] - u_right)
+        return None
+
+    def _in_box(self, q_px: tuple[int, int]) -> bool:
+        """Whether a rectified left pixel lies in the target's box (rectified by its corners); true without a box."""
+        if not self.detections:
+            return True
+        x, y, width, height = self.detections[0].box_px
+        low, high = (self._pair.rectified_px(np.array(p)) for p in ((x, y), (x + width, y + height)))
+        return bool((low <= q_px).all() and (q_px <= high).all())
 
     def _laser_point_m(self, frame: StereoFrame) -> Array | None:
         """Eq. 14 with the corrected length; None where the laser does not work (no reading is near the frame)."""

@@ -1,4 +1,4 @@
-"""The laser spot as in section 3.3.1: grey threshold, circularity, area. Anywhere in the image, to a whole pixel."""
+"""The laser spot as in section 3.3.1: grey threshold, circularity, area; to a whole pixel."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 from leadline.samples import Image
 
 
-def find_spot(
+def find_spots(
     grey: Image, threshold: float, least_circularity: float, area_px: tuple[float, float]
-) -> tuple[int, int] | None:
-    """The pixel (u, v) at the centre of the brightest round blob of a fitting size; None where there is none."""
+) -> list[tuple[int, int]]:
+    """The pixels (u, v) at the centres of round blobs of a fitting size, the brightest first."""
     _, bright = cv2.threshold(grey, threshold, 255, cv2.THRESH_BINARY)
     outlines, _ = cv2.findContours(bright, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    best: tuple[float, tuple[int, int]] | None = None
+    found: list[tuple[float, tuple[int, int]]] = []
     for outline in outlines:
         x, y, width, height = cv2.boundingRect(outline)
         if width * height < area_px[0]:  # most are specks: spare them the rest
@@ -22,11 +22,10 @@ def find_spot(
         blob = bright[y : y + height, x : x + width] > 0
         if not area_px[0] <= np.count_nonzero(blob) <= area_px[1] or _circularity(outline) < least_circularity:
             continue
-        brightness = float(grey[y : y + height, x : x + width][blob].mean())
-        if best is None or brightness > best[0]:
-            rows, columns = np.nonzero(blob)
-            best = brightness, (x + round(float(columns.mean())), y + round(float(rows.mean())))
-    return None if best is None else best[1]
+        rows, columns = np.nonzero(blob)
+        centre = x + round(float(columns.mean())), y + round(float(rows.mean()))
+        found.append((float(grey[y : y + height, x : x + width][blob].mean()), centre))
+    return [centre for _, centre in sorted(found, reverse=True)]
 
 
 def _circularity(outline: cv2.typing.MatLike) -> float:
