@@ -42,10 +42,10 @@ class Detector:
         self.path = str(path) if path is not None else str(resources.files("leadline") / "models" / SHIPPED)
         self.score, self.nms_iou = score, nms_iou
         self._session = _open(self.path, threads)
-        meta = self._session.get_modelmeta().custom_metadata_map
+        self.metadata: dict[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
         self._input = self._session.get_inputs()[0]
-        self._fixed, self._long_side = _input_size(self._input.shape, meta, self.path)
-        self._names = _names(meta)
+        self._fixed, self._long_side = _input_size(self._input.shape, self.metadata, self.path)
+        self._names = _names(self.metadata)
         self._head = self._recognise_head()
 
     def find(self, frame: StereoFrame) -> list[Detection]:

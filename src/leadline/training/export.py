@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -21,16 +22,19 @@ def export_onnx(network: Network, path: Path, names: Sequence[str], long_side: i
     import onnx  # noqa: PLC0415  (the extra `train`)
 
     model = Exported(network).eval()
-    torch.onnx.export(
-        model,
-        (torch.zeros(1, 3, 256, 320),),
-        str(path),
-        input_names=["images"],
-        output_names=["output0"],
-        dynamic_axes={"images": {2: "height", 3: "width"}, "output0": {2: "boxes"}},
-        opset_version=OPSET,
-        dynamo=False,
-    )
+    with warnings.catch_warnings():
+        # The tracing exporter is deprecated, but its successor does not take sizes that are multiples of a stride.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        torch.onnx.export(
+            model,
+            (torch.zeros(1, 3, 256, 320),),
+            str(path),
+            input_names=["images"],
+            output_names=["output0"],
+            dynamic_axes={"images": {2: "height", 3: "width"}, "output0": {2: "boxes"}},
+            opset_version=OPSET,
+            dynamo=False,
+        )
     graph = onnx.load(str(path))
     entries = {
         "names": str(dict(enumerate(names))),

@@ -1,4 +1,8 @@
-"""Which cell learns which box, and how wrong it is (task-aligned assignment, TOOD, arXiv:2108.07755)."""
+"""Which cell learns which box, and how wrong it is: a heat around each box's centre, on the levels that fit its size.
+
+The heat is CenterNet's (arXiv:1904.07850), on three levels instead of one. What a cell learns does not depend on what
+it predicts, so that short trainings converge.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +10,13 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-CANDIDATES = 9  # cells that learn one box
-SCORE_POWER, IOU_POWER = 0.5, 4.0
-IOU_WEIGHT = 2.5
+from leadline.training.network import STRIDES
+
+# A level (stride) learns boxes whose side, the root of the area, is within these pixels; neighbours share the overlap.
+LEVEL_SIDES_PX = ((0.0, 64.0), (48.0, 144.0), (112.0, 1e9))
+LEAST_SPREAD_CELLS, SPREAD = 0.6, 0.08  # the heat's standard deviation: at least so many cells, else a part of the side
+BOX_HEAT = 0.3  # cells at least this hot learn the box
+BOX_WEIGHT = 2.0
 
 
 def pair_iou(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
@@ -20,51 +28,54 @@ def pair_iou(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     return iou, iou - (hull - union) / (hull + 1e-9)
 
 
-def assign(scores: Tensor, boxes: Tensor, cells: Tensor, truth: Tensor, classes: Tensor) -> tuple[Tensor, Tensor]:
-    """For one image: each cell's box number (N,), -1 for none, and the score it should have (N,).
-
-    ``scores`` (N, C), ``boxes`` (N, 4), ``cells`` (N, 2) centres, ``truth`` (M, 4), ``classes`` (M,).
-    """
-    inside = ((cells[None] > truth[:, None, :2]) & (cells[None] < truth[:, None, 2:])).all(-1)  # (M, N)
-    iou = pair_iou(truth[:, None], boxes[None])[0] * inside
-    metric = scores[:, classes].T.clamp(min=1e-6) ** SCORE_POWER * iou**IOU_POWER
-    # A box so small that no prediction overlaps it yet still needs a teacher: its nearest cells.
-    near = 1e-9 / (1 + (cells[None] - (truth[:, None, :2] + truth[:, None, 2:]) / 2).norm(dim=-1))
-    ranked = metric + near * inside
-    top = torch.zeros_like(inside).scatter_(1, ranked.topk(min(CANDIDATES, ranked.shape[1]), 1).indices, True) & inside
-    claim = torch.where(top, ranked, torch.zeros_like(ranked))
-    best, owner = claim.max(0)
-    owner = torch.where(best > 0, owner, torch.full_like(owner, -1))
-    mine = functional.one_hot(owner.clamp(min=0), len(truth)).T.bool() & (owner >= 0)  # (M, N)
-    metric, overlap = metric * mine, iou * mine
-    scale = overlap.amax(1, keepdim=True) / (metric.amax(1, keepdim=True) + 1e-12)
-    return owner, (metric * scale).amax(0)
+def heat_of(cells: Tensor, strides: Tensor, truth: Tensor) -> Tensor:
+    """(M, N) heat in 0..1 of boxes ``truth`` (M, 4) on ``cells`` (N, 2) of ``strides`` (N,); 1 at the centre's cell."""
+    side = (truth[:, 2:] - truth[:, :2]).clamp(min=1).prod(-1).sqrt()[:, None]
+    away = (cells[None] - (truth[:, None, :2] + truth[:, None, 2:]) / 2).abs()
+    spread = torch.maximum(LEAST_SPREAD_CELLS * strides[None], SPREAD * side)
+    heat = torch.exp(-((away / spread[..., None]) ** 2).sum(-1) / 2)
+    fits = torch.zeros_like(heat, dtype=torch.bool)
+    for stride, (least, most) in zip(STRIDES, LEVEL_SIDES_PX, strict=True):
+        fits |= (strides[None] == stride) & (side >= least) & (side < most)
+    heat = torch.where(fits, heat, torch.zeros_like(heat))
+    at_centre = (away <= strides[None, :, None] / 2).all(-1) & fits
+    return torch.where(at_centre, torch.ones_like(heat), heat)
 
 
-def detection_loss(logits: Tensor, boxes: Tensor, cells: Tensor, truths: list[Tensor], classes: list[Tensor]) -> Tensor:
-    """Scalar loss of a batch: logits (B, N, C), boxes (B, N, 4), cells (N, 2); an image's truth (M, 4), classes (M,).
+def detection_loss(
+    logits: Tensor, boxes: Tensor, cells: tuple[Tensor, Tensor], truths: list[Tensor], classes: list[Tensor]
+) -> Tensor:
+    """Scalar loss of a batch: logits (B, N, C), boxes (B, N, 4), cells' centres (N, 2) and strides (N,).
 
-    Inside a box of class -1 a target may be that nobody labelled: no cell there is taught to be empty.
+    ``truths`` (M, 4) and ``classes`` (M,) of each image. Inside a box of class -1 a target may be that nobody labelled:
+    no cell there is taught to be empty.
     """
     target = torch.zeros_like(logits)
-    weight = torch.ones_like(logits)
-    box_losses: list[Tensor] = []
+    taught = torch.ones_like(logits)
+    box_loss, box_weight = logits.sum() * 0, logits.new_zeros(())
     for k, (every, numbers) in enumerate(zip(truths, classes, strict=True)):
         truth, names, unsure = every[numbers >= 0], numbers[numbers >= 0], every[numbers < 0]
         if len(unsure):
-            hidden = ((cells[None] > unsure[:, None, :2]) & (cells[None] < unsure[:, None, 2:])).all(-1).any(0)
-            weight[k, hidden] = 0
+            hidden = ((cells[0][None] > unsure[:, None, :2]) & (cells[0][None] < unsure[:, None, 2:])).all(-1).any(0)
+            taught[k, hidden] = 0
         if len(truth) == 0:
             continue
-        owner, wanted = assign(logits[k].detach().sigmoid(), boxes[k].detach(), cells, truth, names)
-        mine = owner >= 0
-        target[k, mine, names[owner[mine]]] = wanted[mine]
-        weight[k, mine] = 1
+        heat = heat_of(*cells, truth)
+        for number in names.unique():
+            target[k, :, number] = heat[names == number].amax(0)
+        taught[k][target[k] == 1] = 1
+        hottest, owner = heat.max(0)
+        mine = hottest >= BOX_HEAT
         giou = pair_iou(boxes[k, mine], truth[owner[mine]])[1]
-        box_losses.append((1 - giou) * wanted[mine].clamp(min=0.05))
-    total = target.sum().clamp(min=1.0)
-    # Quality focal weighting (arXiv:2006.04388): far off counts most, so the many empty cells do not drown the few.
-    focus = (logits.detach().sigmoid() - target).abs() ** 1.5
-    score_loss = (focus * weight * functional.binary_cross_entropy_with_logits(logits, target, reduction="none")).sum()
-    box_loss = torch.cat(box_losses).sum() if box_losses else boxes.sum() * 0
-    return (2.0 * score_loss + IOU_WEIGHT * box_loss) / total
+        box_loss = box_loss + ((1 - giou) * hottest[mine]).sum()
+        box_weight = box_weight + hottest[mine].sum()
+    return _heat_loss(logits, target, taught) + BOX_WEIGHT * box_loss / box_weight.clamp(min=1)
+
+
+def _heat_loss(logits: Tensor, target: Tensor, taught: Tensor) -> Tensor:
+    """Focal loss; beside a centre an empty cell counts the less the hotter it is."""
+    score = logits.sigmoid()
+    at_centre = target == 1
+    full = (1 - score) ** 2 * functional.logsigmoid(logits)
+    empty = (1 - target) ** 4 * score**2 * functional.logsigmoid(-logits)
+    return -(torch.where(at_centre, full, empty) * taught).sum() / at_centre.sum().clamp(min=1)

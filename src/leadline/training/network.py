@@ -1,7 +1,7 @@
 """A small anchor-free detector in plain torch: residual backbone, top-down neck, one head at strides 8, 16 and 32.
 
 Written for this project (Apache-2.0), so that its weights may be shipped; 0.80 M parameters. Boxes are regressed as
-distances from the cell's centre to the four sides (FCOS, arXiv:1904.01355); the score is trained to be the box's IoU.
+distances from the cell's centre to the four sides (FCOS, arXiv:1904.01355).
 """
 
 from __future__ import annotations

@@ -116,9 +116,12 @@ def _groups(network: Network, decay: float) -> list[dict[str, object]]:
     return [{"params": heavy, "weight_decay": decay}, {"params": light, "weight_decay": 0.0}]
 
 
-def _cells(images: Tensor) -> Tensor:
+def _cells(images: Tensor) -> tuple[Tensor, Tensor]:
+    """Every cell's centre (N, 2) and stride (N,), level by level."""
     height, width = images.shape[2:]
-    return torch.cat([cell_centres(height // s, width // s, s, images.device) for s in STRIDES])
+    centres = [cell_centres(height // s, width // s, s, images.device) for s in STRIDES]
+    strides = [torch.full((len(c),), float(s)) for c, s in zip(centres, STRIDES, strict=True)]
+    return torch.cat(centres), torch.cat(strides)
 
 
 def _follow(average: Network, network: Network, keep: float) -> None:
