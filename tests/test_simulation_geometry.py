@@ -157,7 +157,7 @@ def test_nearest_point_is_nearest(name: str, shape: Shape) -> None:
             hit = shape.hit_m(eye, d / np.linalg.norm(d))  # noqa: B023
             return 9.0 if hit is None else hit
 
-        starts = np.random.default_rng(0).normal(0, 0.15 / np.linalg.norm(eye), (12, 2))
+        starts = np.random.default_rng(0).normal(0, 0.15 / np.linalg.norm(eye), (6, 2))
         best = min(
             minimize(length, q, method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-10}).fun for q in starts
         )
