@@ -27,7 +27,7 @@ class Settings:
     steps: int = 1000
     batch: int = 16
     sizes: tuple[tuple[int, int], ...] = ((320, 256), (416, 256), (512, 320))
-    size_weights: tuple[float, ...] = (0.6, 0.25, 0.15)
+    size_weights: tuple[float, ...] = (0.4, 0.25, 0.35)
     learning_rate: float = 2e-3
     weight_decay: float = 0.02
     warm_up: int = 60
