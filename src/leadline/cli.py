@@ -55,6 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         return _complain(str(error))
     except UsageProblem as error:
+        if type(error).__name__ == "NoArgsIsHelpError":
+            sys.stderr.write(f"{error}\n")
+            return 2
         return _complain(f"{error.format_message()} (see --help)")  # type: ignore[attr-defined]
     except (KeyboardInterrupt, typer.Abort):
         return _complain("interrupted", 1)

@@ -11,7 +11,7 @@ from leadline.evaluation.accuracy import STAGE_NAMES, Errors, Row, by_stage
 from leadline.pipeline import Report
 
 MM = 1000.0
-HEAD = ("stage", "solutions", "mean |error|", "RMS", "largest", "stated sigma", "within 2 sigma", "silent errors")
+HEAD = ("n", "mean\n|error|", "RMS", "largest", "stated\nsigma", "within\n2 sigma", "silent\nerrors")
 NAMES = {"fused": "leadline", "paper": "the paper's method"}
 
 
@@ -22,10 +22,10 @@ def tables(report: Report) -> Iterator[Table]:
         yield _stages(report.summary)
         return
     for name, errors in known.items():
-        yield _errors(f"{NAMES.get(name, name)}: range against the nearest surface, mm", by_stage(errors))
         if name == "paper":
             own = by_stage(errors, own_point=True)
             yield _errors(f"{NAMES[name]}: D against its own point of the surface, mm", own)
+        yield _errors(f"{NAMES.get(name, name)}: range against the nearest surface, mm", by_stage(errors))
 
 
 def beside(ours: Errors, paper: Errors) -> Table:
@@ -56,8 +56,9 @@ def _mean(row: Row | None) -> str:
 
 def _errors(title: str, rows: list[Row]) -> Table:
     table = Table(title=title, title_justify="left")
+    table.add_column("stage", no_wrap=True)
     for name in HEAD:
-        table.add_column(name, justify="left" if name == "stage" else "right")
+        table.add_column(name, justify="right")
     for row in rows:
         numbers = [f"{MM * value:.1f}" for value in (row.mean_m, row.rms_m, row.max_m, row.sigma_m)]
         table.add_row(row.name, str(row.count), *numbers, f"{row.coverage:.0%}", str(row.silent))

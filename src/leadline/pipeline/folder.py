@@ -16,7 +16,7 @@ def solutions_name(method: str) -> str:
     return f"solutions_{method}.csv"
 
 
-OURS = (SOLUTIONS, CONFIG, RIG, SUMMARY, PICTURE, RECORDING, solutions_name("paper"))
+OURS = (SOLUTIONS, solutions_name("paper"), CONFIG, RIG, SUMMARY, PICTURE)
 
 
 def check_folder(out: Path, source: str) -> None:
@@ -35,7 +35,10 @@ def check_folder(out: Path, source: str) -> None:
 
 
 def make_folder(out: Path) -> None:
-    """Make the folder and take an earlier run's files out of it, so that no file of two runs stand side by side."""
+    """Make the folder and take an earlier run's files out of it, so that no files of two runs stand side by side.
+
+    Its recording stays, unless this run records too: it may be all that there is of a dive.
+    """
     try:
         out.mkdir(parents=True, exist_ok=True)
         for name in OURS:

@@ -86,7 +86,8 @@ def run(job: Job, out: Path, *, record: bool = False, progress: Progress = lambd
     summary = _summary(job, tracks, passed, errors, wall_s)
     (out / folder.SUMMARY).write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
     _plot(job, tracks, passed, errors, out / folder.PICTURE)
-    return Report(out, summary, errors, sorted(path for path in out.iterdir() if path.name in folder.OURS))
+    written = [out / name for name in (*folder.OURS, *([folder.RECORDING] if record else ()))]
+    return Report(out, summary, errors, [path for path in written if path.exists()])
 
 
 def _tracks(job: Job, out: Path, record: bool, stack: ExitStack) -> list[Track]:

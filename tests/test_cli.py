@@ -1,0 +1,259 @@
+"""End to end through the command line, on a small simulated dive."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import leadline
+from leadline.cli import main
+from leadline.evaluation.accuracy import by_stage, compare
+from leadline.pipeline import build, loop
+from leadline.pipeline.demo import demo
+from leadline.recognition.boxes import Boxes
+from leadline.samples import Sample, Status
+from leadline.sources.folder import FolderSource
+from leadline.target import Sphere
+from leadline.wire.solutions import read_solutions
+
+SCENARIO = """
+name: tiny
+path: {start_m: 1.1, end_m: 0.6, speed_m_s: 0.25, dwell_s: 0.0}
+camera: {image_width_px: 480, rate_hz: 4.0}
+laser: {dropouts: 0.0}
+"""
+FRAMES = 9
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """tiny.yaml, dive/ of `leadline sim`, boxes.json from its truth, and run/ of `leadline run`."""
+    folder = tmp_path_factory.mktemp("cli")
+    (folder / "tiny.yaml").write_text(SCENARIO)
+    assert main(["sim", str(folder / "tiny.yaml"), "--out", str(folder / "dive"), "--seed", "3"]) == 0
+    results = []
+    for frame in json.loads((folder / "dive" / "truth.json").read_text())["frames"]:
+        x0, y0, x1, y1 = frame["box_left_px"]
+        box = {"image_id": frame["name"], "bbox": [x0, y0, x1 - x0, y1 - y0], "score": 0.9}
+        results.append(box)
+    (folder / "boxes.json").write_text(json.dumps(results))
+    assert run(folder, "run", "--record") == 0
+    return folder
+
+
+def run(place: Path, out: str, *options: str, source: str = "dive") -> int:
+    boxes = ["--boxes", str(place / "boxes.json"), "--target", "sphere:0.34"]
+    return main(["run", str(place / source), "--out", str(place / out), *boxes, *options])
+
+
+def summary(folder: Path) -> dict[str, object]:
+    content: dict[str, object] = json.loads((folder / "summary.json").read_text())
+    return content
+
+
+def test_a_run_writes_what_the_contract_names(place: Path) -> None:
+    names = {"solutions.csv", "config.yaml", "rig.yaml", "summary.json", "run.png", "dive.mcap"}
+    assert {path.name for path in (place / "run").iterdir()} == names
+    assert (place / "run" / "run.png").read_bytes().startswith(b"\x89PNG")
+    content = summary(place / "run")
+    assert content["frames"] == FRAMES
+    assert content["notices"]["counts"].get("skipped", 0) == 0  # type: ignore[index]
+    assert content["interrupted"] is False
+    assert main(["config", "check", str(place / "run" / "config.yaml")]) == 0
+
+
+def test_every_frame_has_a_row_with_its_own_stamp_and_the_truth_is_met(place: Path) -> None:
+    source = FolderSource(place / "dive")
+    solutions = read_solutions(place / "run" / "solutions.csv")
+    frames = [sample.t_ns for sample in source if hasattr(sample, "left")]
+    assert set(frames) <= {solution.t_ns for solution in solutions}
+    assert all(solution.status is Status.VALID for solution in solutions)
+    overall = by_stage(compare(solutions, source.truth, Sphere(0.34)))[-1]
+    assert overall.count == len(solutions)
+    assert overall.mean_m < 0.015
+
+
+def test_a_replay_gives_the_same_bytes(place: Path) -> None:
+    assert run(place, "replay", source="run/dive.mcap") == 0
+    assert (place / "replay" / "solutions.csv").read_bytes() == (place / "run" / "solutions.csv").read_bytes()
+
+
+def test_the_papers_method_and_every_frame_alone(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(place, "as_paper", "--method", "paper") == 0
+    out = capsys.readouterr().out
+    assert out.index("against its own point") < out.index("against the nearest surface")
+    assert summary(place / "as_paper")["method"] == "paper"
+    assert summary(place / "as_paper")["solutions"] == FRAMES
+    assert run(place, "alone", "--no-filter") == 0
+    assert summary(place / "alone")["solutions"] == FRAMES
+
+
+def test_the_end_of_a_run_says_what_a_pixel_costs(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(place, "again") == 0
+    captured = capsys.readouterr()
+    assert "one pixel of disparity is" in captured.out
+    assert str(place / "again" / "run.png") in captured.out
+    assert captured.err == ""  # no progress bar where stderr is not a terminal
+    cost = summary(place / "again")["pixel_cost"]
+    focal, baseline = 1.335 * 1401.8 / 4, 0.063  # the paper's rig at a quarter of its size
+    expected = cost["range_m"] ** 2 / (focal * baseline)  # type: ignore[index]
+    assert cost["m_per_px"] == pytest.approx(expected, rel=0.1)  # type: ignore[index]
+
+
+def test_an_earlier_run_is_replaced_and_its_recording_kept(place: Path) -> None:
+    shutil.copytree(place / "run", place / "twice")
+    (place / "twice" / "mine.txt").write_text("kept")
+    assert run(place, "twice", "--method", "paper") == 0
+    assert summary(place / "twice")["method"] == "paper"
+    assert (place / "twice" / "mine.txt").exists()
+    assert (place / "twice" / "dive.mcap").exists()
+
+
+def test_ctrl_c_keeps_what_is_written(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    everything = FolderSource.read
+
+    def cut(self: FolderSource) -> Iterator[Sample]:
+        frames = 0
+        for sample in everything(self):
+            yield sample
+            frames += hasattr(sample, "left")
+            if frames == 3:
+                raise KeyboardInterrupt
+
+    monkeypatch.setattr(FolderSource, "read", cut)
+    assert run(place, "cut", "--method", "paper") == 0
+    assert summary(place / "cut")["interrupted"] is True
+    assert len(read_solutions(place / "cut" / "solutions.csv")) == 3
+    assert (place / "cut" / "run.png").exists()
+
+
+def test_a_bug_is_not_hidden_and_what_was_written_stays(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    take, steps = loop.Track.take, []
+
+    def fail(self: loop.Track, sample: Sample) -> None:
+        steps.append(sample)
+        if len(steps) > 6:
+            raise RuntimeError("a bug")
+        take(self, sample)
+
+    monkeypatch.setattr(loop.Track, "take", fail)
+    with pytest.raises(RuntimeError, match="a bug"):
+        run(place, "bug", "--method", "paper")
+    assert len(read_solutions(place / "bug" / "solutions.csv")) >= 3
+
+
+def test_the_demo_ends_with_both_methods_side_by_side(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(build, "_finder", lambda *_: Boxes(place / "boxes.json"))
+    source = f"sim:{place / 'tiny.yaml'}"
+    monkeypatch.setattr("leadline.pipeline.demo.demo", lambda out, tick, seed: demo(out, tick, source=source, seed=3))
+    assert main(["demo", "--out", str(place / "demo")]) == 0
+    out = capsys.readouterr().out
+    assert "ours beside the paper's method" in out
+    for name in ("solutions.csv", "solutions_paper.csv", "run.png", "summary.json"):
+        assert (place / "demo" / name).is_file()
+        assert str(place / "demo" / name) in out
+    ours, paper = (compare_demo(place, name) for name in ("solutions.csv", "solutions_paper.csv"))
+    assert ours < paper
+
+
+def compare_demo(place: Path, name: str) -> float:
+    truth = FolderSource(place / "dive").truth  # the same scenario and seed
+    return by_stage(compare(read_solutions(place / "demo" / name), truth, Sphere(0.34)), own_point=True)[-1].mean_m
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["run"], "Missing argument"),
+        (["run", "nowhere", "--out", "x"], "nowhere: no such file or folder"),
+        (["run", "dive", "--out", "x", "--target", "cube"], "--target: 'cube' is not a target"),
+        (["run", "dive", "--out", "x", "--target", "sphere:big"], "'big' is not a diameter"),
+        (["run", "dive", "--out", "x", "--rig", "none.yaml"], "none.yaml"),
+        (["run", "dive", "--out", "x", "--rig", "rendered"], "images are 480x270, the rig's left camera is 1920x1080"),
+        (["run", "dive", "--out", "x", "--method", "best"], "best"),
+        (["run", "dive", "--out", "x", "--bogus"], "--bogus"),
+        (["run", "dive", "--out", "x", "--boxes", "none.json"], "none.json"),
+        (["run", "dive", "--out", "x", "--boxes", "boxes.json", "--model", "m.onnx"], "one of them"),
+        (["run", "dive", "--out", "x", "--boxes", "boxes.json", "--config", "bad.yaml"], "bad.yaml: paper.block"),
+        (["run", "dive", "--out", "x", "--boxes", "boxes.json", "--water-state", "salt=3"], "'salt=3'"),
+        (["run", "dive", "--out", "dive", "--boxes", "boxes.json"], "where the source is"),
+        (["run", "run/dive.mcap", "--out", "run", "--boxes", "boxes.json"], "where the source is"),
+        (["run", "dive", "--out", "boxes.json", "--boxes", "boxes.json"], "this is a file"),
+        (["run", "sim:nothing", "--out", "x"], "no such scenario"),
+        (["run", "ros2:", "--out", "x"], "live"),
+        (["sim", "nothing", "--out", "x"], "no such scenario"),
+        (["sim", "tiny.yaml", "--out", "dive"], "something already"),
+        (["detect", "nowhere", "--out", "x", "--model", "m.onnx"], "m.onnx"),
+        (["config", "check", "bad.yaml"], "bad.yaml: paper.block"),
+        (["nonsense"], "nonsense"),
+        (["demo", "--seed", "-1"], "--seed"),
+    ],
+)
+def test_a_mistake_is_one_line_and_status_2(
+    place: Path,
+    arguments: list[str],
+    told: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(place)
+    (place / "bad.yaml").write_text("paper: {block: 3}\n")
+    assert main(arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("leadline: ")
+    assert captured.err.count("\n") == 1
+    assert told in captured.err
+    assert not (place / "x").exists()
+
+
+def test_a_folder_that_is_no_run_is_left_alone(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (place / "other").mkdir()
+    (place / "other" / "thesis.tex").write_text("years of work")
+    assert run(place, "other") == 2
+    assert "not a run" in capsys.readouterr().err
+    assert [path.name for path in (place / "other").iterdir()] == ["thesis.tex"]
+
+
+def test_config_dump_is_a_good_config(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["config", "dump"]) == 0
+    text = capsys.readouterr().out
+    (tmp_path / "config.yaml").write_text(text)
+    assert main(["config", "check", str(tmp_path / "config.yaml")]) == 0
+    assert "block_px" in text
+
+
+def test_version_help_and_no_arguments(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"leadline {leadline.__version__}\n"
+    assert main(["run", "--help"]) == 0
+    assert "--no-filter" in capsys.readouterr().out
+    assert main([]) == 2
+    assert "Commands" in capsys.readouterr().err
+
+
+def test_importing_the_package_is_light_and_its_names_are_there() -> None:
+    heavy = "import sys, leadline; print([m for m in ('cv2', 'scipy', 'onnxruntime', 'pydantic') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", heavy], check=True, capture_output=True, text=True)
+    assert done.stdout.strip() == "[]"
+    for name in leadline.__all__:
+        assert getattr(leadline, name) is not None
+    assert set(leadline.__all__) <= set(dir(leadline))
+    with pytest.raises(AttributeError, match="nothing_like_it"):
+        _ = leadline.nothing_like_it
+
+
+def test_python_m_leadline_and_its_exit_status() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "leadline", "run", "nowhere", "--out", "x"], check=False, capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("leadline: nowhere")
