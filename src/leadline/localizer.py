@@ -3,8 +3,8 @@
     frame  -> box -> stereo on the target -> outline -> spot -+
     laser reading -------------------------------------------+-> one filter -> solution
 
-The paper's three stages are which of these there are at the moment. No clock, no file, no network, no random number: the
-time is in the sample, and the same samples give the same solutions bit for bit.
+The paper's three stages are which of these there are at the moment. No clock, no file, no network, no random number:
+the time is in the sample, and the same samples give the same solutions bit for bit.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ from leadline.samples import (
 )
 from leadline.target import Sphere, Surface, Target
 
+POOR = 0.1  # a range less certain than this part of itself is no prediction
 VISION, BEAM = frozenset({Kind.STEREO, Kind.SIZE}), frozenset({Kind.LASER, Kind.SPOT})
 
 
@@ -109,7 +110,7 @@ class Localizer:
         return self._solution(sample.t_ns, used, rejected)
 
     def _make_outline(self) -> OutlineRanger | None:
-        if not isinstance(self._target, Sphere) or self._target.diameter_m is None:
+        if not isinstance(self._target, Sphere):
             return None
         return OutlineRanger(self._rig, self._target, OutlineSettings(**self._config.outline.model_dump()))
 
@@ -137,19 +138,28 @@ class Localizer:
     ) -> tuple[list[Measurement], list[Rejected]]:
         """All that one frame says, each from the best idea of the target so far."""
         pair = Pair.of(frame.left, frame.right)
-        prior = None if before is None else Prior(before.x, self._range_sigma(before))
-        results = [self._stereo.measure(frame.t_ns, pair, box, prior)]
+        results = [self._match(frame.t_ns, pair, box, before)]
         x = results[0].z if isinstance(results[0], Measurement) else self._idea(box, before)
         if self._outline is not None:
-            results.append(self._outline.measure(frame.t_ns, pair, x[:3]))
+            results.append(self._outline.measure(frame.t_ns, pair, x))
             if isinstance(results[-1], Measurement) and isinstance(results[0], Rejected):
                 x = results[-1].z
         results += self._measure_beam(frame, x)
         taken = [r for r in results if isinstance(r, Measurement)]
         return taken, [r for r in results if isinstance(r, Rejected)]
 
+    def _match(self, t_ns: int, pair: Pair, box: Box, before: Estimate | None) -> Measurement | Rejected:
+        """Stereo from the prediction; from nothing where there is none, or where it is too poor to find anything with."""
+        if before is not None:
+            sigma = self._range_sigma(before)
+            if sigma < POOR * np.linalg.norm(before.x[:3]):
+                result = self._stereo.measure(t_ns, pair, box, Prior(before.x, sigma))
+                if isinstance(result, Measurement):
+                    return result
+        return self._stereo.measure(t_ns, pair, box, None)
+
     def _measure_beam(self, frame: StereoFrame, x: Array) -> list[Measurement | Rejected]:
-        """The spot, where the target as known so far would show it; and, with every frame alone, the reading near it."""
+        """The spot, where the target as known so far would show it; with every frame alone, the reading near it too."""
         if self._beam is None or self._rig.laser is None:
             return []
         results: list[Measurement | Rejected] = []
@@ -193,7 +203,7 @@ class Localizer:
         if isinstance(self._target, Sphere) and self._target.diameter_m is not None:
             sides = self._rig.rays(np.array([[x, y + height / 2], [x + width, y + height / 2]]), "left")[1]
             angle = float(np.arccos(np.clip(sides[0] @ sides[1], -1, 1))) / 2
-            return self._target.diameter_m / 2 / max(np.sin(angle), 0.05)
+            return float(self._target.diameter_m / 2 / max(np.sin(angle), 0.05))
         if self._readings and self._rig.laser is not None:
             return max(self._rig.laser.length_m(self._readings[-1].range_m), 0.1)
         return 1.0

@@ -56,9 +56,11 @@ class Target(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Sphere:
-    """A ball. Without a diameter the radius is estimated, from a hand's width to a buoy's."""
+    """A ball. Without a diameter the radius is estimated, from what is expected: a hand's width to a buoy's."""
 
     diameter_m: float | None = None
+    expected_radius_m: float = 0.2
+    expected_radius_sigma_m: float = 0.15
 
     @property
     def name(self) -> str:
@@ -66,11 +68,11 @@ class Sphere:
 
     @property
     def shape_mean(self) -> Array:
-        return np.array([0.2]) if self.diameter_m is None else np.empty(0)
+        return np.array([self.expected_radius_m]) if self.diameter_m is None else np.empty(0)
 
     @property
     def shape_sigma(self) -> Array:
-        return np.array([0.15]) if self.diameter_m is None else np.empty(0)
+        return np.array([self.expected_radius_sigma_m]) if self.diameter_m is None else np.empty(0)
 
     def radius_m(self, x: Array) -> float:
         return float(x[3]) if self.diameter_m is None else self.diameter_m / 2

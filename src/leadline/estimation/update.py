@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from leadline.samples import Array, Measurement, Rejected
 
@@ -23,13 +24,13 @@ class State:
     P: Array
 
     @property
-    def seen(self) -> Array:
+    def seen(self) -> NDArray[np.int_]:
         """Indices of what measurements see: position and shape."""
         return seen(len(self.y))
 
 
-def seen(size: int) -> Array:
-    return np.r_[0:3, 6:size]
+def seen(size: int) -> NDArray[np.int_]:
+    return np.concatenate([np.arange(3), np.arange(6, size)])
 
 
 def gate_threshold(dof: int, sigmas: float) -> float:

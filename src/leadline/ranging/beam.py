@@ -26,7 +26,7 @@ class BeamRanger:
         """The raw reading; ``extra_sigma_m`` for a target that moved since."""
         gain = self._laser.range_scale * self._laser.group_index
         sigma = np.hypot(self._laser.range_sigma_m, gain * extra_sigma_m)
-        predict = self._length(lambda length: self._laser.raw_m(length), gain)
+        predict = self._length(self._laser.raw_m, gain)
         return Measurement(Kind.LASER, sample.t_ns, np.array([sample.range_m]), np.array([[sigma**2]]), predict)
 
     def _length(self, raw: Callable[[float], float], gain: float) -> Callable[[Array], tuple[Array, Array] | None]:
@@ -41,7 +41,7 @@ class BeamRanger:
         return predict
 
     def curve(self, side: Side, nearest_m: float, farthest_m: float) -> tuple[Array, Array]:
-        """Lengths (K,) and pixels (K, 2) of the beam in one image, about half a pixel apart; NaN pixels where unseen."""
+        """Lengths (K,) and pixels (K, 2) of the beam in one image, half a pixel apart; NaN pixels where unseen."""
         ends = 1 / np.linspace(1 / nearest_m, 1 / farthest_m, 64)
         q_px = self._seen(ends, side)
         moved = np.concatenate(

@@ -12,7 +12,7 @@ from leadline.ranging.shape_fit import Points
 from leadline.rig import Rig
 from leadline.samples import Array
 
-NEAREST_M, FARTHEST_M = 0.15, 8.0
+NEAREST_M, FARTHEST_M = 0.15, 30.0
 BOX_PX = 128  # the box is shrunk to about this size
 HALF = 8
 COLUMNS, ROWS = 9, 7
@@ -63,7 +63,7 @@ def _grid(box: Box, level: int, shape: tuple[int, int]) -> Array:
 
 
 def _sweep(rig: Rig, left: Float32, right: Float32, box: Box, level: int) -> Sweep | None:
-    q_px = _grid(box, level, left.shape)  # type: ignore[arg-type]
+    q_px = _grid(box, level, left.shape)
     if len(q_px) < 4:
         return None
     origins, directions = rig.rays(to_full(q_px, level), camera="left")

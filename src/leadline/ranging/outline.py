@@ -1,7 +1,8 @@
-"""A ball of known size ranged by its outline: rays that graze it must pass its centre at one radius.
+"""A ball ranged by its outline: rays that graze it must pass its centre at one radius.
 
-The outline is looked for where the prediction has it, along normals in both images; each edge pixel becomes a ray in the
-water (refraction-true), and the centre is fitted so that every such ray is tangent. Texture is not needed, contrast is.
+The outline is looked for where the prediction has it, along normals in both images; each edge pixel becomes a ray in
+the water (refraction-true), and the ball is fitted so that every such ray is tangent. It needs contrast, no texture. A
+known radius gives the range by the size; an unknown one is measured, since two outlines also triangulate the centre.
 """
 
 from __future__ import annotations
@@ -20,7 +21,10 @@ from leadline.target import Sphere
 DIRECTIONS = 180
 STEP_PX = 0.5
 INSIDE, OUTSIDE = (0.75, 0.82, 0.9), (1.1, 1.18, 1.26)  # rings, in radii, that show the two colours
-ITERATIONS = 4
+ITERATIONS = 10
+NEIGHBOURS = 3  # an edge is averaged over three normals, so that as many share their noise
+MAX_CONDITION = 1e7
+MIN_AGREED = 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,52 +56,49 @@ class _Edges:
 
 
 class OutlineRanger:
-    """Measurement ``size`` for a sphere whose diameter is known."""
+    """Measurement ``size`` of a sphere: its centre, and its radius where that is not known."""
 
     def __init__(self, rig: Rig, target: Sphere, settings: OutlineSettings) -> None:
-        if target.diameter_m is None:
-            raise ValueError("an outline gives a range only for a sphere of known diameter")
-        self._rig, self._radius_m, self._settings = rig, target.diameter_m / 2, settings
+        self._rig, self._target, self._settings = rig, target, settings
 
-    def measure(self, t_ns: int, pair: Pair, centre_m: Array) -> Measurement | Rejected:
-        """The centre (3,) from both outlines near a predicted centre, or why there is none."""
-        fitted = centre_m
+    def measure(self, t_ns: int, pair: Pair, x: Array) -> Measurement | Rejected:
+        """The ball (3 + k,) from both outlines near a predicted one, or why there is none."""
+        fitted = x
         for reach in self._settings.reach:  # wide first, then close, when the normals start from the right place
             edges = [
                 self._edges(pair.left_image, fitted, "left", reach),
                 self._edges(pair.right_image, fitted, "right", reach),
             ]
-            rays = [
-                np.concatenate([getattr(e, name) for e in edges]) for name in ("origins_m", "directions", "m_per_px")
-            ]
-            if len(rays[2]) < self._settings.min_edges:
+            origins, directions = (np.concatenate([getattr(e, n) for e in edges]) for n in ("origins_m", "directions"))
+            m_per_px = np.concatenate([e.m_per_px for e in edges])
+            if len(m_per_px) < self._settings.min_edges:
                 return Rejected(Kind.SIZE, t_ns, "too little outline")
-            result = self._fit(*rays, fitted)
+            result = self._fit(origins, directions, m_per_px, fitted)
             if result is None:
                 return Rejected(Kind.SIZE, t_ns, "no round outline")
             fitted, cov = result
-        eye = np.eye(3)
-        return Measurement(Kind.SIZE, t_ns, fitted, cov, lambda x: (x[:3], eye))
+        eye = np.eye(len(fitted))
+        return Measurement(Kind.SIZE, t_ns, fitted, cov, lambda x: (x, eye))
 
-    def _contour(self, centre_m: Array, side: Side, grow: float) -> Array:
+    def _contour(self, ball: Array, side: Side, grow: float) -> Array:
         """Pixels (DIRECTIONS, 2) of the ball's outline, its radius grown by a factor."""
         pupil = np.zeros(3) if side == "left" else self._rig.T_left_right.t_m
-        to = centre_m - pupil
+        to = ball[:3] - pupil
         distance = float(np.linalg.norm(to))
-        radius = self._radius_m * grow
+        radius = self._target.radius_m(ball) * grow
         sine = min(radius / distance, 0.999)
         across = np.linalg.svd(to[None])[2][1:]
         turn = np.linspace(0, 2 * np.pi, DIRECTIONS, endpoint=False)
         ring = np.cos(turn)[:, None] * across[0] + np.sin(turn)[:, None] * across[1]
-        points = centre_m - to * sine**2 + radius * np.sqrt(1 - sine**2) * ring
+        points = ball[:3] - to * sine**2 + radius * np.sqrt(1 - sine**2) * ring
         return self._rig.project(points)[0 if side == "left" else 1]
 
-    def _contrast(self, image: Image, centre_m: Array, side: Side) -> Float32:
+    def _contrast(self, image: Image, ball: Array, side: Side) -> Float32:
         """The mix of colours in which the ball stands out best from what is around it (Fisher's discriminant)."""
         if image.ndim == 2:
             return image.astype(np.float32)
         rings = [
-            np.concatenate([_pixels(image, self._contour(centre_m, side, grow)) for grow in factors])
+            np.concatenate([_pixels(image, self._contour(ball, side, grow)) for grow in factors])
             for factors in (INSIDE, OUTSIDE)
         ]
         if min(len(ring) for ring in rings) < 20:
@@ -106,10 +107,10 @@ class OutlineRanger:
         mix = np.linalg.solve(within, rings[0].mean(axis=0) - rings[1].mean(axis=0))
         return np.asarray(image @ (mix / np.linalg.norm(mix)), np.float32)
 
-    def _edges(self, colour: Image, centre_m: Array, side: Side, reach_radii: float) -> _Edges:
+    def _edges(self, colour: Image, ball: Array, side: Side, reach_radii: float) -> _Edges:
         """Sub-pixel edges along the outline's normals, of the sign that most of the outline has."""
-        image = self._contrast(colour, centre_m, side)
-        inner, contour, outer = (self._contour(centre_m, side, g) for g in (0.99, 1.0, 1.01))
+        image = self._contrast(colour, ball, side)
+        inner, contour, outer = (self._contour(ball, side, g) for g in (0.99, 1.0, 1.01))
         normal = outer - inner
         size_px = float(np.nanmedian(np.linalg.norm(normal, axis=1))) / 0.02
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -127,8 +128,8 @@ class OutlineRanger:
         origins, directions = self._rig.rays(at, side)
         half = 0.5 * normal[found]
         m_per_px = np.abs(
-            self._miss(centre_m, *self._rig.rays(at + half, side))[0]
-            - self._miss(centre_m, *self._rig.rays(at - half, side))[0]
+            self._miss(ball, *self._rig.rays(at + half, side))[0]
+            - self._miss(ball, *self._rig.rays(at - half, side))[0]
         )
         return _Edges(origins, directions, m_per_px)
 
@@ -152,31 +153,31 @@ class OutlineRanger:
         at_end = (best < 3) | (best > len(t) - 4)
         return np.asarray(np.where(strong & ~at_end, t[best] + shift * STEP_PX, np.nan))
 
-    @staticmethod
-    def _miss(centre_m: Array, origins_m: Array, directions: Array) -> tuple[Array, Array]:
-        """Distance (N,) at which rays pass a centre, and its gradient over the centre (N, 3)."""
-        to = centre_m - origins_m
+    def _miss(self, ball: Array, origins_m: Array, directions: Array) -> tuple[Array, Array]:
+        """How far (N,) rays pass outside the ball's surface, and the gradient over the ball (N, 3 + k)."""
+        to = ball[:3] - origins_m
         aside = to - np.einsum("ni,ni->n", to, directions)[:, None] * directions
         distance = np.linalg.norm(aside, axis=1)
-        return distance, aside / distance[:, None]
+        gradient = np.column_stack([aside / distance[:, None], *[-np.ones(len(distance))] * (len(ball) - 3)])
+        return distance - self._target.radius_m(ball), gradient
 
-    def _fit(self, origins_m: Array, directions: Array, m_per_px: Array, centre_m: Array) -> tuple[Array, Array] | None:
+    def _fit(self, origins_m: Array, directions: Array, m_per_px: Array, ball: Array) -> tuple[Array, Array] | None:
         """Gauss-Newton with Cauchy weights; a bias common to all edges (blur, shading) stays in the covariance."""
         sigma = self._settings.edge_sigma_px * m_per_px
-        bias = self._settings.bias_sigma_px
         scale = 10.0
-        for _ in range(ITERATIONS + 6):
-            distance, gradient = self._miss(centre_m, origins_m, directions)
-            u = (distance - self._radius_m) / sigma
+        for _ in range(ITERATIONS):
+            miss, gradient = self._miss(ball, origins_m, directions)
+            u = miss / sigma
             weight = 1 / (sigma**2 * (1 + (u / (2 * scale)) ** 2))
             information = (gradient * weight[:, None]).T @ gradient
-            if np.linalg.cond(information) > 1e6:
+            if np.linalg.cond(information) > MAX_CONDITION:
                 return None
-            centre_m = centre_m - np.linalg.solve(information, gradient.T @ (weight * (distance - self._radius_m)))
+            ball = ball - np.linalg.solve(information, gradient.T @ (weight * miss))
             scale = max(1.0, 1.4826 * float(np.median(np.abs(u))))
-        if np.mean(np.abs(u) < 3) < 0.4:
+            if not np.isfinite(ball).all() or ball[2] <= 0 or self._target.radius_m(ball) <= 0.01:
+                return None
+        if np.mean(np.abs(u) < 3) < MIN_AGREED:
             return None
         inverse = np.linalg.inv(information)
-        common = inverse @ (gradient.T @ (weight * m_per_px)) * bias
-        neighbours = 3  # edges are averaged over three normals
-        return centre_m, inverse * scale**2 * neighbours + np.outer(common, common)
+        common = inverse @ (gradient.T @ (weight * m_per_px)) * self._settings.bias_sigma_px
+        return ball, inverse * scale**2 * NEIGHBOURS + np.outer(common, common)

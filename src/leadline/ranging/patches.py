@@ -26,7 +26,7 @@ class Warp:
     centre_px: Array  # (N, 2) integers, left
     half: int
     expected_px: Array  # (N, 2) right
-    affine: Array  # (N, 2, 2) right pixels per left pixel
+    bend: Array  # (N, 2, 5) right pixels for dx, dy, dx^2, dx dy, dy^2: tilt, curvature and refraction of the surface
     along: Array  # (N, 2) unit direction of the epipolar curve, right
 
 
@@ -68,9 +68,16 @@ def places(warp: Warp, shift_px: Array, slant: Array) -> tuple[Array, Array]:
     """Right coordinates (N, W) of every patch pixel for shifts (N,) and slants (N, 2) in px at the patch's edge."""
     dx, dy = offsets(warp.half)
     along = shift_px[:, None] + (slant[:, :1] * dx + slant[:, 1:] * dy) / warp.half
-    x = warp.expected_px[:, :1] + warp.affine[:, 0, :1] * dx + warp.affine[:, 0, 1:] * dy + along * warp.along[:, :1]
-    y = warp.expected_px[:, 1:] + warp.affine[:, 1, :1] * dx + warp.affine[:, 1, 1:] * dy + along * warp.along[:, 1:]
-    return x, y
+    x, y = (warp.bend @ bend_terms(dx, dy)).transpose(1, 0, 2)
+    return (
+        warp.expected_px[:, :1] + x + along * warp.along[:, :1],
+        warp.expected_px[:, 1:] + y + along * warp.along[:, 1:],
+    )
+
+
+def bend_terms(dx: Array, dy: Array) -> Array:
+    """(5, W) what ``Warp.bend`` multiplies."""
+    return np.stack([dx, dy, dx * dx, dx * dy, dy * dy])
 
 
 def search(left: Float32, right: Float32, warp: Warp, reach_px: float) -> tuple[Array, Array]:
@@ -127,7 +134,7 @@ def refine(left: Float32, right: Float32, warp: Warp, start_px: Array) -> Matche
 
 def _slope_along(warp: Warp, gx: Array, gy: Array) -> Array:
     """Derivative (N, W) of the left patch for a step along the epipolar direction of the right image."""
-    back = np.linalg.inv(warp.affine) @ warp.along[:, :, None]
+    back = np.linalg.inv(warp.bend[:, :, :2]) @ warp.along[:, :, None]
     return np.asarray(gx * back[:, 0] + gy * back[:, 1])
 
 

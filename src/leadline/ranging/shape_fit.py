@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from leadline.samples import Array
 from leadline.target import Cylinder, Sphere, Target
+
+Mask = NDArray[np.bool_]
 
 ITERATIONS = 30
 MIN_COSINE = 0.2  # near the limb a ray grazes the surface and its point says little
@@ -26,7 +29,7 @@ class Points:
     def p_m(self) -> Array:
         return np.asarray(self.origins_m + self.length_m[:, None] * self.directions)
 
-    def pick(self, keep: Array) -> Points:
+    def pick(self, keep: Mask) -> Points:
         return Points(self.origins_m[keep], self.directions[keep], self.length_m[keep], self.sigma_m[keep])
 
 
@@ -36,7 +39,7 @@ class Fit:
 
     x: Array
     cov: Array
-    agreed: Array
+    agreed: Mask
     misfit: float
 
 
@@ -111,7 +114,8 @@ def fit(target: Target, points: Points, guess: Array | None = None, roughness_m:
     residual = target.distance(x, points.p_m[agreed])[0] / sigma[agreed]
     freedom = max(agreed.sum() - len(x), 1)
     misfit = float(np.sqrt(residual @ residual / freedom))
-    return Fit(x, np.linalg.inv(information) * max(misfit, 1.0) ** 2, agreed, misfit)
+    few = 1 + 10 / freedom  # a misfit from few points is itself uncertain
+    return Fit(x, np.linalg.inv(information) * max(misfit, 1.0) ** 2 * few, np.asarray(agreed, bool), misfit)
 
 
 def _across(target: Target, points: Points, x: Array) -> Array:

@@ -8,9 +8,11 @@ from leadline.ranging.shape_fit import Fit, Points
 from leadline.samples import Array
 from leadline.target import Surface
 
-KERNEL = 0.5  # of the points' extent: how local the quadric is
+KERNEL = 0.35  # of the points' extent: how local the quadric is
 MISMATCH_SIGMAS = 4.0
 GRID = 41
+SLOPE = 1.0  # sigma expected of a target's tilt
+CURVATURE = 2.0  # sigma expected of its curvature, over its extent
 
 
 def fit_surface(points: Points, beam: tuple[Array, Array] | None) -> Fit | None:
@@ -30,7 +32,8 @@ def fit_surface(points: Points, beam: tuple[Array, Array] | None) -> Fit | None:
         coefficients, cov, agreed = _quadric(u, points.sigma_m, start)
         nearest = _nearest(coefficients, u[agreed, :2])
         start = nearest[:2]
-    sigma2 = float(_terms(nearest[None, :2])[0] @ cov @ _terms(nearest[None, :2])[0])
+    terms = _terms(nearest[None, :2])[0]
+    sigma2 = float(terms @ cov @ terms) + _model_error(coefficients, u[:, :2]) ** 2
     spread = np.ptp(u[agreed, :2], axis=0) / 10  # where on a flat place the nearest point is says little
     position_cov = frame.T @ np.diag([*(spread**2), sigma2]) @ frame
     position = frame.T @ nearest
@@ -59,7 +62,7 @@ def _quadric(u: Array, sigma_m: Array, centre: Array) -> tuple[Array, Array, Arr
     extent = float(np.ptp(u[:, :2], axis=0).max())
     kernel = np.exp(-0.5 * ((u[:, :2] - centre) ** 2).sum(axis=1) / (KERNEL * extent) ** 2)
     terms = _terms(u[:, :2])
-    ridge = np.diag([0, 0, 0, *[1e-3 * extent**4] * 3]) / np.median(sigma_m) ** 2  # no curvature from nothing
+    ridge = np.diag([0.0, *[1 / SLOPE**2] * 2, *[(extent / CURVATURE) ** 2] * 3])  # nothing steep from noise alone
     weight = kernel / sigma_m**2
     agreed = np.ones(len(u), bool)
     scale = 1.0
@@ -72,6 +75,12 @@ def _quadric(u: Array, sigma_m: Array, centre: Array) -> tuple[Array, Array, Arr
         if agreed.sum() < 8:
             agreed = off <= np.sort(off)[7]
     return coefficients, np.linalg.inv(information) * scale**2, agreed
+
+
+def _model_error(coefficients: Array, ab: Array) -> float:
+    """What a quadric may miss of a curved surface, m: a part of how far it bends within the kernel (a ball: 6 %)."""
+    reach = KERNEL * float(np.ptp(ab, axis=0).max())
+    return 0.1 * float(np.abs(coefficients[3] + coefficients[5])) * reach**2
 
 
 def _nearest(coefficients: Array, extent: Array) -> Array:

@@ -1,8 +1,8 @@
 """The laser's green spot: looked for only where the beam can be seen, centred to a fraction of a pixel.
 
-The beam's image is a known curve. Along it the green channel is compared with its own surroundings (a spot is small and
-bright against them, a stain is not green, a glint is not on the curve); the centre is an iterated Gaussian-weighted mean,
-which ignores what lies beyond the spot.
+The beam's image is a known curve. Along it the green channel is compared with its own surroundings (a spot is small
+and bright against them, a stain is not green, a glint is not on the curve); the centre is an iterated Gaussian-weighted
+mean, which ignores what lies beyond the spot.
 """
 
 from __future__ import annotations
@@ -32,14 +32,12 @@ class Spot:
 def find_spot(image: Image, curve_px: Array, radius_px: float) -> Spot | None:
     """The spot on a curve (K, 2) of an image, of about a given radius; None where nothing stands out.
 
-    image: (H, W, 3) BGR or grey; curve: the beam's pixels where it may end, in order; NaN and outside pixels are skipped.
+    image: (H, W, 3) BGR or grey; curve: the beam's pixels where it may end, in order; NaN and outside ones are skipped.
     """
     margin = int(3 * radius_px + BAND_PX + 6)
     height, width = image.shape[:2]
-    clear = np.isfinite(curve_px).all(axis=1)
-    clear[clear] &= ((curve_px[clear] > margin) & (curve_px[clear] < [width - margin - 1, height - margin - 1])).all(
-        axis=1
-    )
+    with np.errstate(invalid="ignore"):
+        clear = ((curve_px > margin) & (curve_px < [width - margin - 1, height - margin - 1])).all(axis=1)
     curve = curve_px[clear]
     if len(curve) < 3:
         return None
@@ -48,12 +46,12 @@ def find_spot(image: Image, curve_px: Array, radius_px: float) -> Spot | None:
     region = greenness(image[low[1] : high[1], low[0] : high[0]])
     rise = _rise(region, radius_px)
     strip = _across(rise, curve - low)
-    best = np.unravel_index(int(np.argmax(strip)), strip.shape)
-    peak = float(strip[best])
+    row, column = divmod(int(np.argmax(strip)), strip.shape[1])
+    peak = float(strip[row, column])
     noise = 1.4826 * float(np.median(np.abs(strip - np.median(strip)))) + 0.3
-    if peak < MIN_RISE or peak < MIN_SNR * noise or _rival(strip, best[0], radius_px, peak):
+    if peak < MIN_RISE or peak < MIN_SNR * noise or _rival(strip, row, radius_px, peak):
         return None
-    start = curve[best[0]] - low + _normal(curve)[best[0]] * (best[1] - strip.shape[1] // 2)
+    start = curve[row] - low + _normal(curve)[row] * (column - strip.shape[1] // 2)
     centred = _centre(region, start, radius_px)
     return None if centred is None else Spot(centred[0] + low, centred[1], peak / noise)
 
@@ -95,7 +93,7 @@ def _rival(strip: Array, best: int, radius_px: float, peak: float) -> bool:
 def _centre(region: Array, start: Array, radius_px: float) -> tuple[Array, Array] | None:
     """Iterated Gaussian-weighted mean over the background-free spot, and its covariance from the local noise."""
     reach = int(np.ceil(3 * radius_px)) + 3
-    x0, y0 = (int(round(float(v))) for v in start)
+    x0, y0 = (round(float(v)) for v in start)
     patch = region[y0 - reach : y0 + reach + 1, x0 - reach : x0 + reach + 1]
     if patch.shape != (2 * reach + 1, 2 * reach + 1):
         return None
@@ -120,4 +118,4 @@ def _centre(region: Array, start: Array, radius_px: float) -> tuple[Array, Array
     if np.linalg.norm(centre - (start - [x0, y0])) > 2 * radius_px + 3:
         return None
     variance = 4 * noise**2 * float((window**2 * dx**2).sum()) / total**2
-    return centre + [x0, y0], (variance + 0.1**2) * np.eye(2)
+    return np.add(centre, [x0, y0]), (variance + 0.1**2) * np.eye(2)
