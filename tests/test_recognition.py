@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tiny_onnx import constant_model
 
 from leadline.errors import InputError
 from leadline.recognition.boxes import Boxes
 from leadline.recognition.detector import Detector, letterbox
 from leadline.recognition.track import choose, iou
 from leadline.samples import Detection, StereoFrame
+from tiny_onnx import constant_model
 
 NAMES = {"names": "{0: 'ball', 1: 'pile'}"}
 
@@ -27,7 +27,7 @@ def yolov8_output(*rows: tuple[float, ...], count: int = 84) -> np.ndarray:
     return table.T[None]
 
 
-@pytest.fixture()
+@pytest.fixture
 def image() -> np.ndarray:
     """128 x 64: in a 64 x 64 network at half size, with 16 rows of border above and below."""
     return np.zeros((64, 128, 3), np.uint8)
@@ -107,6 +107,22 @@ def test_letterbox_maps_corners_onto_corners(size: tuple[int, int]) -> None:
     assert rows.min() == pad[1]
     assert columns.max() + 1 - pad[0] == pytest.approx(100 * scale, abs=0.51)
     assert rows.max() + 1 - pad[1] == pytest.approx(60 * scale, abs=0.51)
+
+
+@pytest.mark.parametrize("shape", [(512, 1024), (511, 1023), (300, 500), (40, 90)])
+def test_letterbox_keeps_places_to_a_fraction_of_a_pixel(shape: tuple[int, int]) -> None:
+    height, width = shape
+    y, x = np.mgrid[0:height, 0:width] + 0.5
+    centre = 0.3 * width, 0.6 * height
+    blob_image = 255 * np.exp(-((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / (2 * (0.08 * height) ** 2))
+    blob, scale, pad = letterbox(blob_image.astype(np.uint8), (128, 64), bgr_255=True)
+    light = blob[0, 0].astype(float)
+    left, top, right, bottom = (int(v) for v in (*pad, pad[0] + width * scale + 0.5, pad[1] + height * scale + 0.5))
+    light[:, :left] = light[:, right:] = 0
+    light[:top] = light[bottom:] = 0
+    rows, columns = np.mgrid[0:64, 0:128] + 0.5
+    seen = np.array([(light * columns).sum(), (light * rows).sum()]) / light.sum()
+    assert (seen - pad) / scale == pytest.approx(centre, abs=0.35 / scale)
 
 
 def test_letterbox_channel_order_and_grey() -> None:

@@ -148,12 +148,21 @@ def letterbox(image: Image, size: tuple[int, int], bgr_255: bool) -> tuple[Float
     height, width = image.shape[:2]
     scale = min(size[0] / width, size[1] / height)
     fitted = (max(1, round(width * scale)), max(1, round(height * scale)))
-    method = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
     canvas = np.full((size[1], size[0], 3), GREY, np.uint8)
     left, top = (size[0] - fitted[0]) // 2, (size[1] - fitted[1]) // 2
-    canvas[top : top + fitted[1], left : left + fitted[0]] = cv2.resize(image, fitted, interpolation=method)
+    canvas[top : top + fitted[1], left : left + fitted[0]] = cv2.resize(
+        _halved(image, fitted), fitted, interpolation=cv2.INTER_LINEAR
+    )
     blob = cv2.dnn.blobFromImage(canvas, 1.0 if bgr_255 else 1 / 255, swapRB=not bgr_255)
     return np.asarray(blob, np.float32), scale, np.array([left, top], np.float32)
+
+
+def _halved(image: Image, size: tuple[int, int]) -> Image:
+    """Exact halvings by averaging while the image is twice ``size`` or more: no aliasing, at a fraction of the cost."""
+    while image.shape[1] >= 2 * size[0] and image.shape[0] % 2 == 0 and image.shape[1] % 2 == 0:
+        half = (image.shape[1] // 2, image.shape[0] // 2)
+        image = np.asarray(cv2.resize(image, half, interpolation=cv2.INTER_AREA), np.uint8)
+    return image
 
 
 def best_of_overlapping(boxes: Floats, scores: Floats, classes: NDArray[np.int64], iou: float) -> list[int]:
