@@ -85,7 +85,7 @@ def remarks(summary: Mapping[str, Any]) -> Iterator[str]:
         yield f"stated range sigma: median {MM * sigma['median']:.2f} mm, largest {MM * sigma['max']:.2f} mm"
     cost = summary["pixel_cost"]
     if cost is not None:
-        yield f"one pixel of disparity is {MM * cost['m_per_px']:.3g} mm at the median range of {cost['range_m']:.2f} m"
+        yield f"one pixel of disparity is {_length(cost['m_per_px'])} at the median range of {cost['range_m']:.2f} m"
     step = summary["step_ms"]
     if step is not None:
         yield f"{summary['wall_s']:.1f} s, {summary['frames_per_s']:.1f} frames/s; a step takes {step['median']:.0f} ms"
@@ -96,3 +96,7 @@ def remarks(summary: Mapping[str, Any]) -> Iterator[str]:
         yield f"{count} {kind}, the first: {first.removeprefix(kind + ': ')}"
     if summary["interrupted"]:
         yield "interrupted: everything up to there is kept"
+
+
+def _length(length_m: float) -> str:
+    return f"{length_m:.2f} m" if length_m >= 1 else f"{MM * length_m:.3g} mm"

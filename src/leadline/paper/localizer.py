@@ -25,7 +25,7 @@ from leadline.samples import (
     Status,
     StereoFrame,
 )
-from leadline.target import Plane, Surface, Target
+from leadline.target import Target
 
 
 class Finder(Protocol):
@@ -36,18 +36,17 @@ class PaperLocalizer:
     """``step(sample)`` gives one solution for every stereo frame. No refraction, no sub-pixel step, no memory but the
     last reading: ``position_m`` is the paper's point (left camera's frame), ``range_m`` its distance D.
 
-    Built like ``Localizer``. Without a detector, and for a plane or an unknown surface, the image itself is the box.
+    Built like ``Localizer``; the target's shape is of no use to it. Without a detector the image itself is the box.
     """
 
     def __init__(
         self, rig: Rig, target: Target | None = None, detector: Finder | None = None, config: Config | None = None
     ) -> None:
         self._rig, self._config = rig, (config or Config()).paper
-        self._fills_always = detector is None or isinstance(target, Plane | Surface)
-        self._finder = None if self._fills_always else detector
+        self._finder = detector
         self._pair = PinholePair(rig)
         self._reading: LaserRange | None = None
-        self._seen = self._fills_always
+        self._seen = detector is None
         self.detections: list[Detection] = []  # of the last frame, for those who draw
 
     def step(self, sample: Sample) -> Solution | None:
@@ -151,7 +150,7 @@ class PaperLocalizer:
 
     def _fills(self, frame: StereoFrame) -> bool:
         """Whether the target fills the view, so that there is nothing left to match: the third stage."""
-        if self._fills_always or not self.detections:
+        if not self.detections:
             return False
         height, width = frame.left.shape[:2]
         _, _, box_width, box_height = self.detections[0].box_px
