@@ -88,7 +88,7 @@ def _root(
 
 @app.command()
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder for what the demo writes.")] = Path("leadline-demo"),
+    out: Annotated[Path, typer.Option(help="Folder for what the demo writes.")] = Path("out/demo"),
     seed: Annotated[int, typer.Option(min=0, help="Of the simulation.")] = 0,
     headless: Annotated[bool, typer.Option("--headless", help="Never open a window or a browser.")] = False,
 ) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -23,6 +24,7 @@ BLACK, BLUE, VERMILION, PURPLE, GREY = "#000000", "#0072B2", "#D55E00", "#CC79A7
 STAGE_COLOURS = {Stage.BINOCULAR: "#56B4E9", Stage.BOTH: "#009E73", Stage.LASER: "#E69F00"}
 STAGE_LABELS = {Stage.BINOCULAR: "1 binocular", Stage.BOTH: "2 both", Stage.LASER: "3 laser"}
 BAND_ALPHA = 0.12
+BESIDE: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "fontsize": 9, "frameon": False}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,17 +54,19 @@ class Picture:
 
 def plot_run(path: Path, picture: Picture) -> None:
     """Write one PNG: range over time above, beneath it the error (without truth: the stated uncertainty)."""
-    figure = Figure(figsize=(11, 7.5), dpi=110, layout="constrained")
+    figure = Figure(figsize=(12, 7), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     start_s = _start_s(picture)
+    span_s = _span_s(picture, start_s)
     for axes in (upper, lower):
-        _stage_bands(axes, picture.main.solutions, start_s)
+        _stage_bands(axes, picture.main.solutions, start_s, span_s[1])
         axes.grid(visible=True, color="#DDDDDD", linewidth=0.6)
         axes.set_axisbelow(True)
     _ranges(upper, picture, start_s)
     known = len(picture.main.errors.t_s) or (picture.other is not None and len(picture.other.errors.t_s))
     (_errors if known else _uncertainty)(lower, picture, start_s)
+    upper.set_xlim(*span_s)
     upper.set_title(picture.title, loc="left", fontsize=11)
     lower.set_xlabel("time since the start [s]" if start_s else "time [s]")
     figure.savefig(path)
@@ -74,11 +78,18 @@ def _start_s(picture: Picture) -> float:
     return first if abs(first) > 1e4 else 0.0
 
 
-def _stage_bands(axes: Axes, solutions: Sequence[Solution], start_s: float) -> None:
+def _span_s(picture: Picture, start_s: float) -> tuple[float, float]:
+    """From the first to the last solution, with a little room: an interrupted run's truth goes on for longer."""
+    times = [solution.t_s - start_s for solution in picture.main.solutions] or [0.0]
+    room = 0.02 * (max(times) - min(times)) or 0.5
+    return min(times) - room, max(times) + room
+
+
+def _stage_bands(axes: Axes, solutions: Sequence[Solution], start_s: float, end_s: float) -> None:
     ordered = sorted(solutions, key=lambda s: s.t_ns)
     runs = [(stage, [s.t_s - start_s for s in group]) for stage, group in groupby(ordered, lambda s: s.stage)]
     for i, (stage, times) in enumerate(runs):
-        end = runs[i + 1][1][0] if i + 1 < len(runs) else times[-1]
+        end = runs[i + 1][1][0] if i + 1 < len(runs) else end_s
         if stage in STAGE_COLOURS:
             axes.axvspan(times[0], end, color=STAGE_COLOURS[stage], alpha=BAND_ALPHA, linewidth=0)
 
@@ -115,7 +126,7 @@ def _ranges(axes: Axes, picture: Picture, start_s: float) -> None:
         if stage in present
     ]
     handles = [*axes.get_legend_handles_labels()[0], *bands]
-    axes.legend(handles=handles, loc="upper right", fontsize=9, framealpha=0.9)
+    axes.legend(handles=handles, **BESIDE)
 
 
 def _errors(axes: Axes, picture: Picture, start_s: float) -> None:
@@ -138,7 +149,7 @@ def _errors(axes: Axes, picture: Picture, start_s: float) -> None:
         axes.yaxis.set_major_formatter("{x:g}")
     axes.set_ylim(-limit, limit)
     axes.set_ylabel("range error [mm]" if picture.other is None else "range error [mm], log beyond 10")
-    axes.legend(loc="upper right", fontsize=9, framealpha=0.9, ncols=3)
+    axes.legend(**BESIDE)
 
 
 def _beyond(axes: Axes, when_s: Array, error_mm: Array, limit_mm: float, colour: str) -> None:
@@ -162,7 +173,7 @@ def _uncertainty(axes: Axes, picture: Picture, start_s: float) -> None:
     axes.plot(t - start_s, 2e3 * sigma, "-", color=BLUE, marker="o", markersize=_dot(t), label=picture.main.name)
     axes.set_ylabel("two stated sigmas of range [mm]")
     axes.set_ylim(0, _top(2e3 * sigma))
-    axes.legend(loc="upper right", fontsize=9, framealpha=0.9)
+    axes.legend(**BESIDE)
 
 
 def _track(solutions: Sequence[Solution]) -> tuple[Array, Array, Array]:

@@ -187,5 +187,5 @@ def _plot(job: Job, tracks: list[Track], passed: Passed, errors: dict[str, Error
 
     curves = [Curve(t.name, t.solutions, errors[t.name], t.name == "paper") for t in tracks]
     laser: Array = np.column_stack([np.array(passed.readings_ns, dtype=np.float64) / 1e9, passed.lit_m])
-    title = f"{job.source.name} · {job.target.name} · {curves[0].name}"
+    title = f"{Path(job.source.name).name} · {job.target.name} · {curves[0].name}"
     plot_run(path, Picture(title, curves[0], job.source.truth, laser, curves[1] if len(curves) > 1 else None))
