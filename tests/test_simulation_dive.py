@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from functools import cache
 from itertools import islice
 from pathlib import Path
@@ -67,6 +68,16 @@ def test_samples_come_in_the_order_of_arrival_and_have_truth() -> None:
     assert len(frames) == dive.frame_count == len({f.name for f in frames})
     assert frames[0].left.shape == (180, 320, 3)
     assert all(f.left_t_ns == f.t_ns and f.right_t_ns == f.t_ns + 10_000_000 for f in frames)
+
+
+def test_details_are_plain_json() -> None:
+    dive = SimulatedDive(
+        small(faults=[{"sensor": "laser", "mode": "off"}], camera={"image_width_px": 64, "rate_hz": 1.0})
+    )
+    assert not any(isinstance(s, LaserRange) for s in dive.samples())
+    again = json.loads(json.dumps(dive.details, allow_nan=False))
+    assert again["scenario"]["faults"][0]["end_s"] is None
+    assert len(again["frames"]) == dive.frame_count
 
 
 def test_truth_of_a_ball_is_the_analytic_one() -> None:

@@ -30,19 +30,19 @@ _WRONG_RANGE_M = 0.3
 
 
 class Fault(BaseModel):
-    """One sensor's fault from ``start_s`` to ``end_s`` of the dive's time stamps."""
+    """One sensor's fault from ``start_s`` to ``end_s`` (None: to the end) of the dive's time stamps."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     sensor: Sensor
     mode: Mode
     start_s: float = 0.0
-    end_s: float = float("inf")
+    end_s: float | None = None
     size: float | None = None  # what it means, and its default, depends on the mode
 
     @model_validator(mode="after")
     def _fits(self) -> Fault:
-        if self.end_s <= self.start_s:
+        if self.end_s is not None and self.end_s <= self.start_s:
             raise ValueError("end_s must be after start_s")
         if self.sensor in ("left", "right") and self.mode in ("slow", "delayed", "intermittent"):
             raise ValueError(f"{self.mode} is of the whole camera, not of its {self.sensor} half")
@@ -58,7 +58,8 @@ class Fault(BaseModel):
 
     def concerns(self, sample: Sample) -> bool:
         is_laser = isinstance(sample, LaserRange)
-        return is_laser == (self.sensor == "laser") and self.start_s <= sample.t_s < self.end_s
+        within = self.start_s <= sample.t_s and (self.end_s is None or sample.t_s < self.end_s)
+        return within and is_laser == (self.sensor == "laser")
 
 
 def inject(samples: Iterable[Sample], faults: Sequence[Fault], rng: np.random.Generator) -> Iterator[Sample]:
