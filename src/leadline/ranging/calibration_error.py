@@ -1,0 +1,134 @@
+"""How far the calibration's own uncertainty moves a measured point.
+
+Pixels q of a true point are explained by a rig whose parameters are off by e: the point that fits them best moves by
+S e, S = -(J^T J)^-1 J^T dq/de with J = dq/dpoint of both cameras (implicit function theorem at the least-squares
+triangulation). The errors are common to all frames: they do not average out, and a filter must not treat them as noise
+of one frame.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from leadline.geometry.arrays import as_rows
+from leadline.rig import Rig
+from leadline.rig_parameters import get, replaced
+from leadline.samples import Array
+
+NEAREST_M, FARTHEST_M, DEPTHS = 0.05, 20.0, 20
+ACROSS = 13  # nodes over the field, each way
+
+
+def position_sensitivity(rig: Rig, points_m: ArrayLike, names: Sequence[str]) -> Array:
+    """d(triangulated point)/d(parameters) (N, 3, k), left frame, for points (N, 3); NaN where one is not seen twice."""
+    points = as_rows(points_m, 3)
+    jacobian = np.concatenate([rig.project_with_jacobian(points, side)[1] for side in ("left", "right")], axis=1)
+    moved = np.stack([_pixel_change(rig, points, name) for name in names], axis=-1)
+    unseen = ~(np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(moved).all(axis=(1, 2)))
+    jacobian[unseen], moved[unseen] = np.eye(4, 3), np.nan
+    return np.asarray(-np.linalg.pinv(jacobian) @ moved)
+
+
+def position_cov(rig: Rig, point_m: ArrayLike) -> Array:
+    """(3, 3) m^2: the calibration's part of a stereo point's covariance, straight from the definition."""
+    names = _stereo_names(rig)
+    if not names:
+        return np.zeros((3, 3))
+    sensitivity = position_sensitivity(rig, np.asarray(point_m, float)[None], names)[0]
+    return np.asarray(sensitivity @ rig.covariance.of(names) @ sensitivity.T)
+
+
+def beam_cov(rig: Rig, raw_m: float) -> Array:
+    """(3, 3) m^2: the calibration's part of the laser point's covariance. ValueError where the rig has no laser."""
+    if rig.laser is None:
+        raise ValueError("the rig has no laser")
+    return np.asarray(rig.laser_point(raw_m)[1] - rig.laser.point_covariance_m2(raw_m))
+
+
+class CalibrationError:
+    """``position_cov`` from a table over the field of view, for use in every frame (some 50 us a point)."""
+
+    def __init__(self, rig: Rig) -> None:
+        names = _stereo_names(rig)
+        self._root = _root(rig.covariance.of(names))
+        z_m = np.geomspace(NEAREST_M, FARTHEST_M, DEPTHS)
+        slopes = _field(rig)
+        self._axes = (z_m, *(np.linspace(*ends, ACROSS) for ends in slopes))
+        z, x, y = np.meshgrid(*self._axes, indexing="ij")
+        points = np.stack([x * z, y * z, z], axis=-1).reshape(-1, 3)
+        table = position_sensitivity(rig, points, names) @ self._root if names else np.zeros((len(points), 3, 0))
+        # Divided by the depth, an error of scale or of disparity is linear in z: interpolation is exact for both.
+        self._table = (table / points[:, 2, None, None]).reshape(*z.shape, 3, -1)
+        self._known = np.isfinite(self._table).all(axis=(-1, -2))
+        self._table[~self._known] = 0.0
+
+    def at(self, point_m: ArrayLike) -> Array:
+        """(3, 3) m^2, left frame, for a point (3,) before the cameras; beyond the field, that of the nearest place."""
+        p = np.asarray(point_m, dtype=np.float64)
+        depth = max(float(p[2]), NEAREST_M)
+        cells = [
+            _cell(axis, value) for axis, value in zip(self._axes, (depth, p[0] / depth, p[1] / depth), strict=True)
+        ]
+        total, factor = 0.0, np.zeros(self._table.shape[-2:])
+        for corner in itertools.product((0, 1), repeat=3):
+            place = tuple(low + up for (low, _), up in zip(cells, corner, strict=True))
+            weight = float(np.prod([part if up else 1 - part for (_, part), up in zip(cells, corner, strict=True)]))
+            if weight > 0 and self._known[place]:
+                total += weight
+                factor += weight * self._table[place]
+        if total == 0:
+            return np.full((3, 3), np.nan)
+        factor *= depth / total
+        return np.asarray(factor @ factor.T)
+
+
+def _stereo_names(rig: Rig) -> tuple[str, ...]:
+    """The uncertain parameters that a stereo point depends on."""
+    return tuple(n for n in rig.covariance.names if not n.startswith("laser.") and n != "water.group_index")
+
+
+def _pixel_change(rig: Rig, points_m: Array, name: str) -> Array:
+    """d(left and right pixels)/d(parameter) (N, 4), by differences; one-sided at the edge of what a part takes."""
+    here = float(get(rig, [name])[0])
+    step = 1e-2 if name.endswith("_px") else 1e-5 if "distortion" in name else 1e-6
+    low, high = _changed(rig, name, here - step), _changed(rig, name, here + step)
+    span = step * ((low is not None) + (high is not None))
+    before, after = (np.concatenate((changed or rig).project(points_m), axis=1) for changed in (low, high))
+    return np.asarray((after - before) / span)
+
+
+def _changed(rig: Rig, name: str, value: float) -> Rig | None:
+    try:
+        return replaced(rig, [name], [value])
+    except ValueError:
+        return None
+
+
+def _root(cov: Array) -> Array:
+    """A with A A^T = cov, for a covariance that may be singular; by its correlations, since the units differ."""
+    sigma = np.sqrt(np.diag(cov))
+    unit = np.where(sigma > 0, sigma, 1.0)
+    values, vectors = np.linalg.eigh(cov / np.outer(unit, unit))
+    return np.asarray(unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _field(rig: Rig) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The slopes x/z and y/z at the borders of the left image, outside the port."""
+    u, v = np.linspace(0, rig.left.width - 1, 9), np.linspace(0, rig.left.height - 1, 9)
+    border = [(a, b) for a in u for b in (v[0], v[-1])] + [(a, b) for a in (u[0], u[-1]) for b in v]
+    directions = rig.rays(np.array(border))[1]
+    slopes = (directions[:, :2] / directions[:, 2:])[np.isfinite(directions).all(axis=1)]
+    if len(slopes) == 0:
+        slopes = np.array([[-0.1, -0.1], [0.1, 0.1]])
+    low, high = slopes.min(axis=0), slopes.max(axis=0)
+    return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
+
+
+def _cell(axis: Array, value: float) -> tuple[int, float]:
+    """The interval of an axis that holds a value, and how far along it that is (0-1); ends hold beyond."""
+    low = int(np.clip(np.searchsorted(axis, value) - 1, 0, len(axis) - 2))
+    return low, float(np.clip((value - axis[low]) / (axis[low + 1] - axis[low]), 0.0, 1.0))
