@@ -59,11 +59,16 @@ def clipped(picture: Picture) -> Picture:
     return Picture(picture.image, boxes[keep], picture.classes[keep])
 
 
-def framed(rng: Rng, picture: Picture, size: tuple[int, int]) -> Picture:
-    """The picture as a whole or a part of it, at a random scale, perhaps mirrored, on ``size`` (w, h)."""
+def framed(rng: Rng, picture: Picture, size: tuple[int, int], fill: bool = False) -> Picture:
+    """The picture as a whole or a part of it, at a random scale, perhaps mirrored, on ``size`` (w, h).
+
+    ``fill``: at about the scale that covers ``size``, else about the one that fits into it.
+    """
     height, width = picture.image.shape[:2]
-    fit = min(size[0] / width, size[1] / height)
-    scale = fit * float(np.exp(rng.uniform(np.log(0.6), np.log(1.8)) if rng.random() < 0.7 else 0.0))
+    ratios = size[0] / width, size[1] / height
+    scale = max(ratios) if fill else min(ratios)
+    if rng.random() < 0.7:
+        scale *= float(np.exp(rng.uniform(np.log(0.7), np.log(1.6))))
     squeeze = float(np.exp(rng.normal(0, 0.08)))
     sx, sy = scale * squeeze**0.5, scale / squeeze**0.5
     tx = rng.uniform(*sorted((0.0, size[0] - sx * width)))
@@ -92,7 +97,7 @@ def mosaic(rng: Rng, draw: Callable[[], Picture], size: tuple[int, int]) -> Pict
         (0, cross_y, cross_x, height),
         (cross_x, cross_y, width, height),
     ):
-        part = framed(rng, draw(), (x1 - x0, y1 - y0))
+        part = framed(rng, draw(), (x1 - x0, y1 - y0), fill=True)
         canvas[y0:y1, x0:x1] = other_water(rng, part.image)
         shift = np.array([x0, y0, x0, y0], np.float32)
         parts.append(Picture(part.image, part.boxes + shift, part.classes))
@@ -109,9 +114,9 @@ def other_water(rng: Rng, image: Bytes) -> Bytes:
         mix = (np.full((3, 3), (1 - saturation) / 3) + saturation * np.eye(3)) @ mix
     if rng.random() < 0.35:  # haze of the scene's own colour: low contrast
         haze = mix @ np.array(cv2.mean(image)[:3]) * rng.uniform(0.8, 1.2, 3)
-        clear = rng.uniform(0.15, 0.9)
+        clear = rng.uniform(0.25, 0.9)
         mix, shift = mix * clear, haze * (1 - clear)
-    gain = rng.uniform(0.7, 1.3)
+    gain = rng.uniform(0.7, 1.15)
     out = np.asarray(cv2.transform(image, gain * np.column_stack([mix, shift])), np.uint8)
     out = np.asarray(cv2.LUT(out, _gamma(rng.uniform(0.75, 1.35))), np.uint8)
     if rng.random() < 0.25:
