@@ -20,6 +20,7 @@ import dataclasses
 import re
 from collections.abc import Sequence
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
@@ -125,19 +126,19 @@ class _Ray:
         if port is None:
             self.length = np.einsum("ni,ni->n", points_m - self.c, self.v) / np.einsum("ni,ni->n", self.v, self.v)
             return
-        self.n = port.normal
+        self.n: Array = port.normal
         self.forward = self.v @ self.n
-        self.a = self.v / self.forward[:, None] - self.n
+        self.a: Array = self.v / self.forward[:, None] - self.n
         self.q2 = np.einsum("ni,ni->n", self.a, self.a)
         self.e = port.distance_m - float(self.n @ self.c)
         self.outside = points_m @ self.n - port.outer_distance_m
-        self.stack = [*port.layers, (self.outside, port.outside_index)]
-        self.w = [1.0 / np.sqrt(m * m + (m * m - 1) * self.q2) for _, m in self.stack]
-        self.S = self.e + sum(t * w for (t, _), w in zip(self.stack, self.w, strict=True))
-        self.along = self.e + sum(t for t, _ in self.stack)
+        self.stack: list[tuple[Any, float]] = [*port.layers, (self.outside, port.outside_index)]
+        self.w: list[Array] = [1.0 / np.sqrt(m * m + (m * m - 1) * self.q2) for _, m in self.stack]
+        self.S: Array = self.e + sum(t * w for (t, _), w in zip(self.stack, self.w, strict=True))
+        self.along: Array = self.e + sum(t for t, _ in self.stack)
         # dS/d(|a|^2), from dW/d(|a|^2) = -W^3 (m^2 - 1) / 2
         pairs = zip(self.stack, self.w, strict=True)
-        self.S_by_q2 = sum((-0.5 * t * w**3 * (m * m - 1) for (t, m), w in pairs), np.zeros(len(xy)))
+        self.S_by_q2: Array = sum((-0.5 * t * w**3 * (m * m - 1) for (t, m), w in pairs), np.zeros(len(xy)))
 
     def moved_by(self, part: str, key: str) -> Array | None:
         """dP/d(parameter) (N, 3), or None where the parameter has no effect on this ray."""
@@ -151,7 +152,7 @@ class _Ray:
 
     def _by_port(self, key: str) -> Array:
         i = _number(key)
-        match key.split("[")[0], key.rpartition(".")[2]:
+        match key.split("[", maxsplit=1)[0], key.rpartition(".")[2]:
             case "distance_m", _:
                 return self.n + self.a
             case "normal", _:
@@ -160,7 +161,8 @@ class _Ray:
                 return self._moved(np.zeros(3), np.zeros_like(self.v), dn)
             case "layers", "thickness_m":
                 # the water begins later: the point stays, its depth in the water shrinks with the thickness
-                return self.n + self.a * self.w[i][:, None]
+                moved: Array = self.n + self.a * self.w[i][:, None]
+                return moved
             case "layers", "index":
                 return self.a * self._by_index(i)[:, None]
         raise ValueError(f"port.{key}: has no derivative")
@@ -182,9 +184,11 @@ class _Ray:
     def _moved(self, dc: Array, dv: Array, dn: Array) -> Array:
         """dP for changes of the pupil (3,), the sight lines (N, 3) and the normal (3,)."""
         if self.port is None:
-            return dc + self.length[:, None] * dv
+            moved: Array = dc + self.length[:, None] * dv
+            return moved
         forward = self.forward[:, None]
         de = -float(dn @ self.c) - float(self.n @ dc)
         da = dv / forward - self.v * (dv @ self.n + self.v @ dn)[:, None] / forward**2 - dn
         dS = de + self.S_by_q2 * 2 * np.einsum("ni,ni->n", self.a, da)
-        return dc + dn * np.asarray(self.along)[:, None] + self.n * de + da * self.S[:, None] + self.a * dS[:, None]
+        out: Array = dc + dn * self.along[:, None] + self.n * de + da * self.S[:, None] + self.a * dS[:, None]
+        return out

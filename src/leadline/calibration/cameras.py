@@ -1,0 +1,205 @@
+"""`calibrate cameras`: cameras, their pose, the port and the water's index at once, from boards in air and in water.
+
+One bundle adjustment over all images. Images in air fix the lenses, images in water the port and the index; each keeps
+the other honest. Corner sets that do not fit are left out by name.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from leadline.calibration.board import Board, Corners
+from leadline.calibration.checks import check_focal_lengths, check_sides, check_views
+from leadline.calibration.derivatives import Medium
+from leadline.calibration.outliers import LeftOut, without_outliers
+from leadline.calibration.problem import Fit, Prior, Problem
+from leadline.calibration.start import between, board_pose, camera_from
+from leadline.calibration.views import (
+    LAYER_NAMES,
+    PORT_NAMES,
+    POSE_NAMES,
+    SIDES,
+    BoardView,
+    lens_names,
+    numbered_alike,
+    sights_of,
+)
+from leadline.geometry import Camera, LayeredPort, Pose
+from leadline.rig import Rig, Side
+from leadline.rig_covariance import RigCovariance
+from leadline.water import CHANNEL_NM, Water, WaterState
+
+WIDE_INDEX = Prior(1.338, 0.004)
+STATED_INDEX_SIGMA = 0.001
+GUESSED_LAYER = {LAYER_NAMES[0]: Prior(0.002, 0.001), LAYER_NAMES[1]: Prior(1.52, 0.03)}
+_DISTORTION_SIGMA = (1.0, 1.0, 0.03, 0.03, 0.5)
+_START_DISTANCE_M = 0.02
+_AIR = (Medium.AIR, Medium.AIR_BEHIND_PORT)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSettings:
+    """What is known beforehand. Thickness and index of the port: exact where given, else parameters with a prior."""
+
+    port_thickness_m: float | None = None
+    port_index: float | None = None
+    water_state: WaterState | None = None
+
+    @property
+    def index_prior(self) -> Prior:
+        if self.water_state is None:
+            return WIDE_INDEX
+        return Prior(self.water_state.index(CHANNEL_NM["green"]), STATED_INDEX_SIGMA)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraCalibration:
+    """A calibrated rig, the fit behind it and what was left out.
+
+    views: those used, ``fit.poses`` and ``Sight.view`` in their order; mono: one camera only (the rig's right camera is
+    then a copy of its left at the same place). priors: those of the fit, by parameter.
+    """
+
+    rig: Rig
+    fit: Fit
+    board: Board
+    problem: Problem
+    views: tuple[BoardView, ...]
+    mono: bool
+    left_out: tuple[LeftOut, ...]
+    settings: CameraSettings
+    air_fit: Fit | None = None
+    remarks: tuple[str, ...] = field(default=())
+
+    @property
+    def priors(self) -> dict[str, Prior]:
+        return self.problem.priors
+
+    def media(self) -> set[Medium]:
+        return {view.medium for view in self.views}
+
+
+def calibrate_cameras(
+    views: Sequence[BoardView], board: Board, size: tuple[int, int], settings: CameraSettings = CameraSettings()
+) -> CameraCalibration:
+    """From the corners of all views; ``size`` is the images' (width, height). InputError for views that are no use."""
+    check_views(views)
+    views = numbered_alike([v for v in views if v.left is not None or v.right is not None], board)
+    mono = all(v.right is None for v in views)
+    start, poses = _start(views, board, size, mono)
+    dry = [i for i, v in enumerate(views) if v.medium is Medium.AIR]
+    air_fit = None
+    if dry and len(dry) < len(views):
+        air = [views[i] for i in dry]
+        air_problem = Problem(sights_of(air, board), _names(air, mono, settings), _priors(start, air, mono, settings))
+        air_fit = air_problem.solve(start, [poses[i] for i in dry])
+        start = air_fit.rig
+        views, poses = _started_in_water(views, board, start, poses, dict(zip(dry, air_fit.poses, strict=True)))
+    check_focal_lengths(start, views, board)
+    start = _with_port(start, views, settings)
+    names, priors = _names(views, mono, settings), _priors(start, views, mono, settings)
+    found = without_outliers(views, board, lambda kept: Problem(kept, names, priors), start, poses)
+    rig = _finished(found.fit, settings)
+    return CameraCalibration(
+        rig, found.fit, board, found.problem, tuple(found.views), mono, tuple(found.left_out), settings, air_fit
+    )
+
+
+def _start(views: Sequence[BoardView], board: Board, size: tuple[int, int], mono: bool) -> tuple[Rig, list[Pose]]:
+    """Pinholes, the right camera's pose, the boards' poses. Water alone: as in air, with the index taken off f."""
+    basis = [v for v in views if v.medium in _AIR] or list(views)
+    in_water = not any(v.medium in _AIR for v in views)
+    lenses: dict[Side, Camera] = {}
+    for side in SIDES:
+        sets = [c for v in basis if (c := v.corners(side)) is not None]
+        lenses[side] = camera_from(sets, board, size) if sets else lenses["left"]
+    seen = {side: [_pose(lenses[side], v.corners(side), board) for v in views] for side in SIDES}
+    pairs = [(a, b) for a, b, v in zip(seen["left"], seen["right"], views, strict=True) if a and b and v in basis]
+    T = Pose.identity() if mono else between(*map(list, zip(*pairs, strict=True)))
+    if not mono:
+        check_sides(T)
+    poses = [
+        a or (T.inverse() @ b if b else Pose(np.eye(3), [0.0, 0.0, 1.0]))
+        for a, b in zip(seen["left"], seen["right"], strict=True)
+    ]
+    if in_water:
+        lenses = {side: _in_air(lens) for side, lens in lenses.items()}
+    return Rig(lenses["left"], lenses["left" if mono else "right"], T), poses
+
+
+def _in_air(lens: Camera) -> Camera:
+    return dataclasses.replace(lens, fx=lens.fx / WIDE_INDEX.mean, fy=lens.fy / WIDE_INDEX.mean)
+
+
+def _started_in_water(
+    views: Sequence[BoardView], board: Board, rig: Rig, poses: Sequence[Pose], solved: dict[int, Pose]
+) -> tuple[list[BoardView], list[Pose]]:
+    """Poses again with the lenses from air: a pinhole in water sees as if f were 1.34 times longer."""
+    out = []
+    for i, view in enumerate(views):
+        longer = {s: dataclasses.replace(c, fx=c.fx * 1.338, fy=c.fy * 1.338) for s, c in _lenses(rig).items()}
+        lenses = longer if view.medium is Medium.WATER else _lenses(rig)
+        left, right = (_pose(lenses[side], view.corners(side), board) for side in SIDES)
+        pose = left or (rig.T_left_right @ right if right else poses[i])
+        out.append(solved.get(i, pose))
+    return list(views), out
+
+
+def _lenses(rig: Rig) -> dict[Side, Camera]:
+    return {"left": rig.left, "right": rig.right}
+
+
+def _pose(camera: Camera, corners: Corners | None, board: Board) -> Pose | None:
+    return None if corners is None else board_pose(camera, corners, board)
+
+
+def _with_port(rig: Rig, views: Sequence[BoardView], settings: CameraSettings) -> Rig:
+    if all(v.medium is Medium.AIR for v in views):
+        return rig
+    thickness = GUESSED_LAYER[LAYER_NAMES[0]].mean if settings.port_thickness_m is None else settings.port_thickness_m
+    index = GUESSED_LAYER[LAYER_NAMES[1]].mean if settings.port_index is None else settings.port_index
+    port = LayeredPort((0, 0, 1), _START_DISTANCE_M, ((thickness, index),), settings.index_prior.mean)
+    return dataclasses.replace(rig, port=port)
+
+
+def _names(views: Sequence[BoardView], mono: bool, settings: CameraSettings) -> tuple[str, ...]:
+    names = lens_names("left") if mono else (*lens_names("left"), *lens_names("right"), *POSE_NAMES)
+    media = {v.medium for v in views}
+    if media == {Medium.AIR}:
+        return names
+    names += PORT_NAMES
+    names += LAYER_NAMES[:1] if settings.port_thickness_m is None else ()
+    names += LAYER_NAMES[1:] if settings.port_index is None else ()
+    return names + (("water.index",) if Medium.WATER in media else ())
+
+
+def _priors(rig: Rig, views: Sequence[BoardView], mono: bool, settings: CameraSettings) -> dict[str, Prior]:
+    """Weak ones keep what a set of images cannot fix from running away; those of glass and water are knowledge."""
+    known: dict[str, Prior] = {"water.index": settings.index_prior, **GUESSED_LAYER}
+    known["port.distance_m"] = Prior(_START_DISTANCE_M, 0.2)
+    known |= {name: Prior(0.0, 0.2) for name in PORT_NAMES[:2]}
+    for side, lens in _lenses(rig).items():
+        known |= {f"{side}.{key}": Prior(f, 0.5 * f) for key, f in (("fx_px", lens.fx), ("fy_px", lens.fy))}
+        centre = ((lens.width - 1) / 2, (lens.height - 1) / 2)
+        known |= {
+            f"{side}.{key}": Prior(c, 0.25 * lens.width) for key, c in zip(("cx_px", "cy_px"), centre, strict=True)
+        }
+        known |= {f"{side}.distortion[{i}]": Prior(0.0, sigma) for i, sigma in enumerate(_DISTORTION_SIGMA)}
+    return {name: known[name] for name in _names(views, mono, settings) if name in known}
+
+
+def _finished(fit: Fit, settings: CameraSettings) -> Rig:
+    """The fitted rig with its covariance and its water: the colours and the laser's group index go with the fit."""
+    rig = dataclasses.replace(fit.rig, covariance=RigCovariance(fit.names, fit.covariance))
+    if rig.port is None:
+        return rig
+    state = settings.water_state
+    like = Water.from_state(WaterState(20.0) if state is None else state)
+    shift = rig.port.outside_index - like.index
+    # dispersion hardly depends on temperature and salt: 2e-4 from fresh to sea water between phase and group index
+    water = Water(like.blue + shift, like.green + shift, like.red + shift, like.group_index + shift, state)
+    return dataclasses.replace(rig, water=water)
