@@ -70,7 +70,7 @@ class Rig:
     def load(cls, source: str | Path) -> Rig:
         """A rig file, or an example by name (``shipped_rigs()``). InputError names a fault by its path in the file."""
         path = Path(source)
-        if not path.exists() and str(source) in shipped_rigs():
+        if not path.is_file() and str(source) in shipped_rigs():
             path = _SHIPPED / f"{source}.yaml"
         return cls(**rig_file.read(path))
 

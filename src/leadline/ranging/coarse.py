@@ -68,8 +68,11 @@ def _sweep(rig: Rig, left: Float32, right: Float32, box: Box, level: int) -> Swe
         return None
     origins, directions = rig.rays(to_full(q_px, level), camera="left")
     ends = np.array([NEAREST_M, FARTHEST_M])
-    span_px = np.ptp(_seen(rig, origins[:1], directions[:1], ends, level)[0, :, 0])
-    lengths = 1 / np.linspace(1 / NEAREST_M, 1 / FARTHEST_M, max(int(span_px / STEP_PX), 16))
+    across = _seen(rig, origins, directions, ends, level)[:, :, 0]
+    spans = np.abs(across[:, 0] - across[:, 1])
+    if not np.isfinite(spans).any():
+        return None
+    lengths = 1 / np.linspace(1 / NEAREST_M, 1 / FARTHEST_M, max(int(np.nanmax(spans) / STEP_PX), 16))
     seen = _seen(rig, origins, directions, lengths, level)
     window = np.arange(-HALF, HALF + 1)
     scores = np.full(seen.shape[:2], -1.0)
@@ -79,9 +82,8 @@ def _sweep(rig: Rig, left: Float32, right: Float32, box: Box, level: int) -> Swe
         y = seen[i, :, 1, None, None] + window[None, :, None] + 0 * window[None, None, :]
         sampled = _bilinear(right, x.reshape(len(lengths), -1), y.reshape(len(lengths), -1))
         scores[i] = _correlate(patch.ravel(), sampled)
-    inside = (
-        (seen >= HALF).all(axis=2) & (seen[..., 0] < right.shape[1] - HALF) & (seen[..., 1] < right.shape[0] - HALF)
-    )
+    with np.errstate(invalid="ignore"):
+        inside = ((seen >= HALF) & (seen < [right.shape[1] - HALF, right.shape[0] - HALF])).all(axis=2)
     return Sweep(lengths, np.where(inside, scores, -1.0), origins, directions)
 
 

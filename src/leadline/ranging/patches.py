@@ -15,8 +15,12 @@ import numpy as np
 from leadline.ranging.images import Float32, Spline
 from leadline.samples import Array
 
-MAX_ITERATIONS = 12
-DERIVATIVE_NOISE = 1 / (8 * np.pi)  # variance gain of a Gaussian derivative of sigma 1 px on white noise
+MAX_ITERATIONS = 8
+MAX_STEP_PX = 0.7
+SETTLED_PX = 3e-3
+MAX_RUN_PX = 2.0  # from the whole-pixel search, which cannot be wrong by more
+MAX_SLANT_PX = 4.0
+MIN_SIGNAL = 0.2  # texture that both images share, over texture and noise of one
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,37 +109,54 @@ def _normalised(patches: Array) -> Array:
 def refine(left: Float32, right: Float32, warp: Warp, start_px: Array) -> Matches:
     """Sub-pixel shifts from whole-pixel ones, with the sigma that the patch's own noise and texture imply.
 
-    The derivative of the left image is the instrument: its fixed point does not depend on how well it approximates the
-    right image's. Its own noise would make texture look richer than it is, and is taken out of the normal matrix.
+    The smooth derivative of the left patch is an instrument, its response is measured in the right patch: their noises
+    are independent, so that noise neither counts as texture nor slows the steps, and fine texture is not overshot.
     """
     template, gx, gy = templates(left, warp)
-    dx, dy = offsets(warp.half)
-    slope = _slope_along(warp, gx, gy)
-    design = np.stack([slope, slope * dx / warp.half, slope * dy / warp.half, template, np.ones_like(template)], axis=2)
-    normal = np.einsum("nwi,nwj->nij", design, design)
-    normal[:, 3, 3] += 1e-6
-    inverse = np.linalg.pinv(normal)
+    instrument = _design(warp, gx, gy, template)
     x, y = places(warp, start_px, np.zeros((len(start_px), 2)))
     spline = Spline.of(right, np.stack([x.ravel(), y.ravel()], axis=1), 8 + warp.half)
     p = np.concatenate([start_px[:, None], np.zeros((len(start_px), 2))], axis=1)
-    gain, level = np.ones(len(p)), np.zeros(len(p))
-    residual = np.zeros_like(template)
+    residual, response = np.zeros_like(template), np.zeros((len(p), 5, 5))
     for _ in range(MAX_ITERATIONS):
         sampled = spline.sample(*places(warp, p[:, 0], p[:, 1:])).astype(float)  # NaN: the patch left the image
         gain, level = _brightness(template, sampled)
-        residual = (sampled - level[:, None]) / gain[:, None] - template
-        step = -np.einsum("nij,nwj,nw->ni", inverse, design, residual)[:, :3]
-        step = np.clip(step, -1.0, 1.0)
+        matched = (sampled - level[:, None]) / gain[:, None]
+        residual = matched - template
+        response = instrument.transpose(0, 2, 1) @ _design(warp, *_slopes(matched, warp.half), template)
+        pull = (residual[:, None] @ instrument)[:, 0]
+        step = -(np.linalg.pinv(np.nan_to_num(response)) @ pull[:, :, None])[:, :3, 0]
+        step = np.clip(step, -MAX_STEP_PX, MAX_STEP_PX)
         p = p + step
-        if not np.nanmax(np.abs(step), initial=0.0) >= 1e-3:
+        if not np.nanmax(np.abs(step), initial=0.0) >= SETTLED_PX:
             break
-    return _judge(template, residual, design, p, start_px)
+    return _judge(template, residual, instrument, response, p, start_px)
 
 
-def _slope_along(warp: Warp, gx: Array, gy: Array) -> Array:
-    """Derivative (N, W) of the left patch for a step along the epipolar direction of the right image."""
+def _design(warp: Warp, gx: Array, gy: Array, template: Array) -> Array:
+    """Derivatives (N, W, 5) of a patch by shift, the two slants, gain and level."""
     back = np.linalg.inv(warp.bend[:, :, :2]) @ warp.along[:, :, None]
-    return np.asarray(gx * back[:, 0] + gy * back[:, 1])
+    slope = gx * back[:, 0] + gy * back[:, 1]  # for a step along the epipolar direction of the right image
+    dx, dy = offsets(warp.half)
+    centred = template - template.mean(axis=1, keepdims=True)
+    return np.stack([slope, slope * dx / warp.half, slope * dy / warp.half, centred, np.ones_like(template)], axis=2)
+
+
+def _slopes(patches: Array, half: int) -> tuple[Array, Array]:
+    """x, y derivatives (N, W) of patches, by differences of the fourth order."""
+    side = 2 * half + 1
+    square = np.pad(patches.reshape(-1, side, side), ((0, 0), (2, 2), (2, 2)), mode="edge")
+    inner = slice(2, -2)
+
+    def difference(axis: int) -> Array:
+        def moved(by: int) -> Array:
+            index = [slice(None), inner, inner]
+            index[axis] = slice(2 + by, by - 2 or None)
+            return np.asarray(square[tuple(index)])
+
+        return ((8 * (moved(1) - moved(-1)) - (moved(2) - moved(-2))) / 12).reshape(patches.shape)
+
+    return difference(2), difference(1)
 
 
 def _brightness(template: Array, sampled: Array) -> tuple[Array, Array]:
@@ -146,19 +167,15 @@ def _brightness(template: Array, sampled: Array) -> tuple[Array, Array]:
     return gain, sampled.mean(axis=1) - gain * template.mean(axis=1)
 
 
-def _judge(template: Array, residual: Array, design: Array, p: Array, start_px: Array) -> Matches:
-    """Sigma of the shift by the sandwich rule, and NaN for what ran away or left the image."""
-    pixels = template.shape[1]
-    noise = np.einsum("nw,nw->n", residual, residual) / (pixels - 5)  # variance of left and right noise together
-    normal = np.einsum("nwi,nwj->nij", design, design)
-    signal = normal.copy()
-    signal[:, 0, 0] -= pixels * DERIVATIVE_NOISE * noise / 2
-    weak = ~(signal[:, 0, 0] > 0.2 * normal[:, 0, 0])
-    signal[weak] = normal[weak]
-    inverse = np.linalg.pinv(signal)
-    variance = noise * np.einsum("ni,nij,nj->n", inverse[:, 0], normal, inverse[:, 0])
-    spread = template.var(axis=1)
-    correlation = np.sqrt(np.clip(1 - noise / (spread + noise + 1e-9), 0, 1))
-    lost = weak | ~np.isfinite(variance) | (np.abs(p[:, 0] - start_px) > 2.5) | (np.abs(p[:, 1:]).max(axis=1) > 4)
+def _judge(template: Array, residual: Array, instrument: Array, response: Array, p: Array, start_px: Array) -> Matches:
+    """Sigma of the shift by the sandwich rule, and NaN for what ran away, left the image or has no texture."""
+    noise = np.einsum("nw,nw->n", residual, residual) / (template.shape[1] - 5)  # of left and right together
+    spread = instrument.transpose(0, 2, 1) @ instrument
+    weak = ~(response[:, 0, 0] > MIN_SIGNAL * spread[:, 0, 0])
+    inverse = np.linalg.pinv(np.where(weak[:, None, None], np.eye(5), response))
+    variance = noise * np.einsum("ni,nij,nj->n", inverse[:, 0], spread, inverse[:, 0])
+    correlation = np.sqrt(np.clip(1 - noise / (template.var(axis=1) + noise + 1e-9), 0, 1))
+    lost = weak | ~np.isfinite(variance) | (np.abs(p[:, 0] - start_px) > MAX_RUN_PX)
+    lost |= np.abs(p[:, 1:]).max(axis=1) > MAX_SLANT_PX
     shift = np.where(lost, np.nan, p[:, 0])
     return Matches(shift, np.where(lost, np.nan, np.sqrt(np.abs(variance))), correlation)

@@ -11,6 +11,7 @@ from leadline.target import Surface
 KERNEL = 0.35  # of the points' extent: how local the quadric is
 MISMATCH_SIGMAS = 4.0
 GRID = 41
+CORRELATED = 6.0  # frames that share an error: the same patches bend the same quadric the same way
 SLOPE = 1.0  # sigma expected of a target's tilt
 CURVATURE = 2.0  # sigma expected of its curvature, over its extent
 
@@ -40,6 +41,7 @@ def fit_surface(points: Points, beam: tuple[Array, Array] | None) -> Fit | None:
     bulge, bulge_var = _bulge(coefficients, cov, frame, u[agreed, :2], position, beam)
     full = np.zeros((4, 4))
     full[:3, :3], full[3, 3] = position_cov, bulge_var
+    full *= CORRELATED
     return Fit(np.append(position, bulge), full, agreed, 1.0)
 
 
