@@ -52,7 +52,7 @@ def find_spot(image: Image, curve_px: Array, radius_px: float) -> Spot | None:
     if peak < MIN_RISE or peak < MIN_SNR * noise or _rival(strip, row, radius_px, peak):
         return None
     start = curve[row] - low + _normal(curve)[row] * (column - strip.shape[1] // 2)
-    centred = _centre(region, start, radius_px)
+    centred = centre_spot(region, start, radius_px)
     return None if centred is None else Spot(centred[0] + low, centred[1], peak / noise)
 
 
@@ -90,7 +90,7 @@ def _rival(strip: Array, best: int, radius_px: float, peak: float) -> bool:
     return bool(apart.any() and strip[apart].max() > 0.7 * peak)
 
 
-def _centre(region: Array, start: Array, radius_px: float) -> tuple[Array, Array] | None:
+def centre_spot(region: Array, start: Array, radius_px: float) -> tuple[Array, Array] | None:
     """Iterated Gaussian-weighted mean over the background-free spot, and its covariance from the local noise."""
     reach = int(np.ceil(3 * radius_px)) + 3
     x0, y0 = (round(float(v)) for v in start)

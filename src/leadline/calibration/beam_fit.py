@@ -1,0 +1,260 @@
+"""Fit of a rig's parameters to stations of a laser's spot: maximum a posteriori, with what stays uncertain.
+
+Each station has four pixel coordinates and a mean reading, and one unknown of its own, the length L along the beam.
+Parameters are either free (estimated, from a prior) or merely considered: held, but their uncertainty goes into the
+result (Schmidt, 1966). With K the gain of the free ones and H = dz/dparameters (whitened, L eliminated), errors go as
+
+    e+ = [[I - K H_free, -K H_held], [0, I]] e + [K, 0] v
+
+so one formula gives the covariance of a laser calibrated with an uncertain rig and of a rig refined by its laser.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from leadline.calibration.spots import Station
+from leadline.rig import Rig
+from leadline.rig_covariance import RigCovariance
+from leadline.rig_parameters import get, replaced
+from leadline.samples import Array
+
+DIRECTION = tuple(f"laser.direction[{i}]" for i in range(3))
+ORIGIN = tuple(f"laser.origin_m[{i}]" for i in range(3))
+OUTLIER_SIGMAS = 5.0
+_STATED = 5.0
+ROUNDING_M = 0.001 / np.sqrt(12)  # devices give millimetres; a static mean cannot be trusted far below
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BeamFit:
+    """The rig after the fit, with its covariance; what was used, left out (name, why), and how well it fits."""
+
+    rig: Rig
+    stations: tuple[Station, ...]
+    left_out: tuple[tuple[str, str], ...]
+    pixel_residuals_px: Array  # (N, 4): left u, v, right u, v
+    range_residuals_m: Array  # (N,)
+    lengths_m: Array  # (N,)
+    chi2: float
+    dof: int
+
+    @property
+    def pixel_rms(self) -> float:
+        return float(np.sqrt(np.mean(self.pixel_residuals_px**2)))
+
+    @property
+    def range_rms_m(self) -> float:
+        return float(np.sqrt(np.mean(self.range_residuals_m**2)))
+
+    def sigma(self, name: str) -> float:
+        return float(np.sqrt(self.rig.covariance.of((name,))[0, 0]))
+
+
+def fit_beam(rig: Rig, stations: Sequence[Station], free: tuple[str, ...], prior: RigCovariance) -> BeamFit:
+    """Fit ``free`` parameters of a rig with a laser, starting at and drawn to its values as ``prior`` says.
+
+    prior: the covariance of all that is uncertain, free or not; a free parameter must have one. Stations that do not
+    fit are left out, one at a time; then the noise is taken as large as the residuals of the rest show it.
+    """
+    used, left_out = list(stations), []
+    while True:
+        problem = _Problem(rig, used, free, prior, Noise())
+        x, lengths = problem.solve()
+        misfit = problem.misfit(x, lengths)
+        worst = int(np.argmax(misfit))
+        if misfit[worst] <= OUTLIER_SIGMAS * max(1.0, float(np.median(misfit))) or len(used) <= 3:
+            break
+        left_out.append((used[worst].name, f"{misfit[worst]:.0f} sigma off the beam that the others agree on"))
+        del used[worst]
+    for _ in range(2):
+        problem = _Problem(rig, used, free, prior, problem.noise(x, lengths))
+        x, lengths = problem.solve()
+    chi2, dof = problem.chi2(x, lengths)
+    pixels, ranges = problem.residuals(x, lengths)
+    result = problem.result(x, lengths)
+    return BeamFit(result, tuple(used), tuple(left_out), pixels, ranges, lengths, chi2, dof)
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Factors on the stated sigmas of a spot's pixels and of a mean reading."""
+
+    pixel: float = 1.0
+    range: float = 1.0
+
+
+class _Problem:
+    def __init__(
+        self, rig: Rig, stations: Sequence[Station], free: tuple[str, ...], prior: RigCovariance, noise: Noise
+    ) -> None:
+        self._rig, self._free, self._prior, self._noise = rig, free, prior, noise
+        self._held = tuple(name for name in prior.names if name not in free)
+        self._start, self._basis = get(rig, free), _basis(rig, free)
+        self._measured = np.array([[*s.left.q_px, *s.right.q_px] for s in stations])
+        self._raw_m = np.array([s.raw_m for s in stations])
+        self._pixel_sigma = noise.pixel * np.array([_pixel_sigmas(s) for s in stations])
+        assert rig.laser is not None
+        alone = max(rig.laser.range_sigma_m, 1e-4)
+        counts = np.array([s.readings for s in stations])
+        self._range_sigma = noise.range * np.hypot(alone / np.sqrt(counts), ROUNDING_M)
+        within = self._basis.T @ prior.of(free) @ self._basis
+        scale = np.sqrt(np.diag(within))
+        self._prior_x = within
+        self._to_x = scale  # the fit runs in units of the prior's sigmas
+        self._whiten = np.linalg.inv(np.linalg.cholesky(within / np.outer(scale, scale)))
+        self._count = len(scale)
+
+    def solve(self) -> tuple[Array, Array]:
+        """Free parameters (k,) in their own coordinates, and lengths (N,), m."""
+        fit = least_squares(self._vector, np.concatenate([np.zeros(self._count), self._first_lengths()]), x_scale="jac")
+        return fit.x[: self._count] * self._to_x, fit.x[self._count :]
+
+    def rig(self, x: Array) -> Rig:
+        return replaced(self._rig, self._free, self._start + self._basis @ x)
+
+    def residuals(self, x: Array, lengths_m: Array) -> tuple[Array, Array]:
+        return _residuals(self.rig(x), self._measured, self._raw_m, lengths_m)
+
+    def misfit(self, x: Array, lengths_m: Array) -> Array:
+        """Each station's root of chi2 over its degrees of freedom (N,)."""
+        return np.asarray(np.sqrt(np.sum(self._white(self.rig(x), lengths_m) ** 2, axis=1) / 4))
+
+    def chi2(self, x: Array, lengths_m: Array) -> tuple[float, int]:
+        rows = self._white(self.rig(x), lengths_m)
+        pull = self._whiten @ (x / self._to_x)
+        return float(np.sum(rows**2) + pull @ pull), rows.size - len(lengths_m)
+
+    def noise(self, x: Array, lengths_m: Array) -> Noise:
+        """What the residuals say the noise is, beside what was stated (which counts as _STATED observations)."""
+        rows = self._white(self.rig(x), lengths_m)
+        pixels, ranges = float(np.sum(rows[:, :4] ** 2)), float(np.sum(rows[:, 4] ** 2))
+        # A length and, all told, a line take from the pixels what they explain; a scale and an offset from the ranges.
+        seen, read = max(3 * len(rows) - 4, 0), max(len(rows) - 2, 0)
+        pixel = self._noise.pixel * np.sqrt((pixels + _STATED) / (seen + _STATED))
+        return Noise(float(pixel), float(self._noise.range * max(1.0, np.sqrt((ranges + _STATED) / (read + _STATED)))))
+
+    def result(self, x: Array, lengths_m: Array) -> Rig:
+        """The rig at the solution, with the joint covariance of everything that was uncertain."""
+        rig = self.rig(x)
+        q = self._without_lengths(rig, lengths_m)
+        h_free = q @ self._gradient(rig, self._free, lengths_m) @ self._basis
+        h_held = q @ self._gradient(rig, self._held, lengths_m)
+        information = h_free.T @ h_free + _inverse(self._prior_x)
+        gain = _solve(information, h_free.T)
+        k, m = self._count, len(self._held)
+        spread = np.block([[np.eye(k) - gain @ h_free, -gain @ h_held], [np.zeros((m, k)), np.eye(m)]])
+        before = self._joint_prior()
+        after = spread @ before @ spread.T
+        after[:k, :k] += gain @ gain.T
+        lift = np.block([
+            [self._basis, np.zeros((len(self._free), m))],
+            [np.zeros((m, k)), np.eye(m)],
+        ])  # fmt: skip
+        cov = lift @ after @ lift.T
+        covariance = RigCovariance(self._free + self._held, (cov + cov.T) / 2)
+        return _with_covariance(rig, covariance)
+
+    def _joint_prior(self) -> Array:
+        names = self._free + self._held
+        m = len(self._held)
+        drop = np.block([
+            [self._basis.T, np.zeros((self._count, m))],
+            [np.zeros((m, len(self._free))), np.eye(m)],
+        ])  # fmt: skip
+        return np.asarray(drop @ self._prior.of(names) @ drop.T)
+
+    def _first_lengths(self) -> Array:
+        assert self._rig.laser is not None
+        points, _ = self._rig.triangulate(self._measured[:, :2], self._measured[:, 2:])
+        along = (points - self._rig.laser.origin_m) @ self._rig.laser.direction
+        read = (self._raw_m - self._rig.laser.range_offset_m) / (
+            self._rig.laser.range_scale * self._rig.laser.group_index
+        )
+        return np.where(np.isfinite(along) & (along > 0), along, read)
+
+    def _vector(self, scaled: Array) -> Array:
+        x, lengths = scaled[: self._count] * self._to_x, scaled[self._count :]
+        pull = self._whiten @ scaled[: self._count]
+        try:
+            rows = self._white(self.rig(x), lengths).ravel()
+        except ValueError:  # a step to where no rig is: an index below 1, a port behind the camera
+            rows = np.full(self._measured.size + len(self._raw_m), 1e6)
+        return np.concatenate([np.nan_to_num(rows, nan=1e6), pull])
+
+    def _white(self, rig: Rig, lengths_m: Array) -> Array:
+        pixels, ranges = _residuals(rig, self._measured, self._raw_m, lengths_m)
+        return np.hstack([pixels / self._pixel_sigma, (ranges / self._range_sigma)[:, None]])
+
+    def _without_lengths(self, rig: Rig, lengths_m: Array) -> Array:
+        """(4N, 5N): what of the residuals no choice of the lengths can explain."""
+        step = 1e-5
+        slopes = (self._white(rig, lengths_m + step) - self._white(rig, lengths_m - step)) / (2 * step)
+        n, width = slopes.shape
+        out = np.zeros((n * (width - 1), n * width))
+        for i, slope in enumerate(slopes):
+            null = np.linalg.svd(slope[None])[2][1:]
+            out[i * (width - 1) : (i + 1) * (width - 1), i * width : (i + 1) * width] = null
+        return out
+
+    def _gradient(self, rig: Rig, names: tuple[str, ...], lengths_m: Array) -> Array:
+        """-d(whitened residuals)/d(parameters) (5N, k), central differences: measurements as functions of them."""
+        columns = []
+        for name in names:
+            try:
+                value = float(get(rig, [name])[0])
+            except ValueError:  # a port's, for a rig without its housing: it has no part in this
+                columns.append(np.zeros(5 * len(lengths_m)))
+                continue
+            step = 1e-2 if name.endswith("_px") else 1e-5 if "distortion" in name else 1e-6
+            high = self._white(replaced(rig, [name], [value + step]), lengths_m)
+            low = self._white(replaced(rig, [name], [value - step]), lengths_m)
+            columns.append((low - high).ravel() / (2 * step))
+        return np.stack(columns, axis=1) if columns else np.zeros((5 * len(lengths_m), 0))
+
+
+def _residuals(rig: Rig, measured_px: Array, raw_m: Array, lengths_m: Array) -> tuple[Array, Array]:
+    beam = rig.laser
+    assert beam is not None
+    left, right = rig.project(beam.origin_m + lengths_m[:, None] * beam.direction)
+    expected = beam.range_scale * beam.group_index * lengths_m + beam.range_offset_m
+    return measured_px - np.hstack([left, right]), raw_m - expected
+
+
+def _pixel_sigmas(station: Station) -> list[float]:
+    return [*np.sqrt(np.diag(station.left.cov_px2)), *np.sqrt(np.diag(station.right.cov_px2))]
+
+
+def _basis(rig: Rig, names: tuple[str, ...]) -> Array:
+    """(names, coordinates), orthonormal: a direction has two, the others one each."""
+    columns = [np.eye(len(names))[:, i] for i, name in enumerate(names) if name not in DIRECTION]
+    if set(DIRECTION) <= set(names):
+        assert rig.laser is not None
+        places = [names.index(name) for name in DIRECTION]
+        for across in np.linalg.svd(rig.laser.direction[None])[2][1:]:
+            column = np.zeros(len(names))
+            column[places] = across
+            columns.append(column)
+    return np.stack(columns, axis=1)
+
+
+def _with_covariance(rig: Rig, covariance: RigCovariance) -> Rig:
+    """Covariance in place of the rig's own."""
+    return dataclasses.replace(rig, covariance=covariance)
+
+
+def _inverse(cov: Array) -> Array:
+    sigma = np.sqrt(np.diag(cov))
+    return np.asarray(np.linalg.inv(cov / np.outer(sigma, sigma)) / np.outer(sigma, sigma))
+
+
+def _solve(information: Array, right_hand: Array) -> Array:
+    scale = 1 / np.sqrt(np.diag(information))
+    return np.asarray(
+        scale[:, None] * np.linalg.solve(information * np.outer(scale, scale), right_hand * scale[:, None])
+    )
