@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from leadline.calibration.derivatives import Medium, by_parameters, project
 from leadline.geometry import Pose
@@ -22,6 +23,7 @@ HUBER = 3.0  # standard deviations of a corner's coordinate; a clean corner is b
 _STEPS = 40
 _SETTLED = 1e-7  # relative decrease of the cost
 _ROUNDS = 6  # of the noise estimate
+_SAME_NOISE = 0.01
 _MAX_DAMPING = 1e10
 
 
@@ -58,7 +60,7 @@ class Fit:
     residuals: tuple[Array, ...]
     sigma_px: float
     cost: float
-    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    covariance: Array
 
     @property
     def rms_px(self) -> float:
@@ -74,73 +76,93 @@ class Fit:
         return float(np.sqrt(self.covariance[i, i]))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Group:
+    """Sights that one call can project, one after the other: ``places`` in the problem's order, ``views`` by point."""
+
+    side: Side
+    medium: Medium
+    places: tuple[int, ...]
+    ends: NDArray[np.int64]
+    views: NDArray[np.int64]
+    points_m: Array
+    pixels: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    """A rig, R (V, 3, 3) and t (V, 3) of T_left_board, and the residuals (n, 2) of each group."""
+
+    rig: Rig
+    R: Array
+    t: Array
+    residuals: tuple[Array, ...]
+    cost: float
+
+
 class Problem:
     """Corners to be explained by ``names`` (parameters of the rig) and one pose a view."""
 
-    sights: Sequence[Sight]
-    names: tuple[str, ...]
-    priors: dict[str, Prior] = field(default_factory=dict)
+    def __init__(self, sights: Sequence[Sight], names: tuple[str, ...], priors: dict[str, Prior] | None = None) -> None:
+        self.sights, self.names, self.priors = tuple(sights), names, priors or {}
+        self._groups = _grouped(self.sights)
 
     def solve(self, rig: Rig, poses: Sequence[Pose], *, sigma_px: float | None = None, robust: bool = True) -> Fit:
         """The most likely rig and poses from a start. With ``sigma_px`` the corners' noise is taken as known."""
-        residuals = self._residuals(rig, poses)
-        fit = Fit(rig, tuple(poses), self.names, residuals, sigma_px or _spread(residuals), np.inf)
+        R, t = np.array([pose.R for pose in poses]), np.array([pose.t_m for pose in poses])
+        state = _State(rig, R, t, self._residuals(rig, R, t), np.inf)
+        sigma = sigma_px or _spread(state.residuals)
         for _ in range(_ROUNDS):
-            before = fit.sigma_px
-            fit = self._minimise(fit, robust)
+            before = sigma
+            state = self._minimise(state, sigma, robust)
             if sigma_px is None:
-                fit = dataclasses.replace(fit, sigma_px=self._noise(fit))
-            if abs(fit.sigma_px / before - 1) < 0.01:
+                sigma = self._noise(state, sigma)
+            if abs(sigma / before - 1) < _SAME_NOISE:
                 break
-        return dataclasses.replace(fit, covariance=self._covariance(fit, robust))
+        covariance = self._system(state, sigma, robust).covariance()
+        final = tuple(Pose(R, t) for R, t in zip(state.R, state.t, strict=True))
+        return Fit(state.rig, final, self.names, self._by_sight(state.residuals), sigma, state.cost, covariance)
 
-    def _minimise(self, fit: Fit, robust: bool) -> Fit:
-        damping, sigma = 1e-4, fit.sigma_px
-        fit = dataclasses.replace(fit, cost=self._cost(fit.rig, fit.residuals, sigma, robust))
+    def _minimise(self, state: _State, sigma: float, robust: bool) -> _State:
+        damping = 1e-4
+        state = dataclasses.replace(state, cost=self._cost(state.rig, state.residuals, sigma, robust))
         for _ in range(_STEPS):
-            system = self._system(fit, robust)
+            system = self._system(state, sigma, robust)
             while damping < _MAX_DAMPING:
-                trial = self._stepped(fit, *system.step(damping), robust)
-                if trial is not None and trial.cost < fit.cost:
+                trial = self._stepped(state, *system.step(damping), sigma, robust)
+                if trial is not None and trial.cost < state.cost:
                     break
                 damping *= 10
             else:
-                return fit
-            gain, fit, damping = fit.cost - trial.cost, trial, max(damping / 10, 1e-9)
-            if gain < _SETTLED * fit.cost:
+                return state
+            gain, state, damping = state.cost - trial.cost, trial, max(damping / 10, 1e-9)
+            if gain < _SETTLED * state.cost:
                 break
-        return fit
+        return state
 
-    def _stepped(self, fit: Fit, globals_: Array, locals_: Array, robust: bool) -> Fit | None:
-        """The fit after a step; None where there is no such rig (a port behind a pupil) or a corner cannot be seen."""
+    def _stepped(self, state: _State, globals_: Array, locals_: Array, sigma: float, robust: bool) -> _State | None:
+        """The state after a step; None where there is no such rig (a port behind a pupil)."""
         try:
-            rig = replaced(fit.rig, self.names, get(fit.rig, self.names) + globals_)
+            rig = replaced(state.rig, self.names, get(state.rig, self.names) + globals_)
         except ValueError:
             return None
-        poses = tuple(
-            Pose(turn(step[:3]) @ pose.R, pose.t_m + step[3:]) for pose, step in zip(fit.poses, locals_, strict=True)
+        R = np.array([turn(step[:3]) @ old for step, old in zip(locals_, state.R, strict=True)])
+        t = state.t + locals_[:, 3:]
+        residuals = self._residuals(rig, R, t)
+        return _State(rig, R, t, residuals, self._cost(rig, residuals, sigma, robust))
+
+    def _residuals(self, rig: Rig, R: Array, t: Array) -> tuple[Array, ...]:
+        return tuple(
+            g.pixels - project(rig, g.side, g.medium, np.einsum("nij,nj->ni", R[g.views], g.points_m) + t[g.views])[0]
+            for g in self._groups
         )
-        residuals = self._residuals(rig, poses)
-        cost = self._cost(rig, residuals, fit.sigma_px, robust)
-        return dataclasses.replace(fit, rig=rig, poses=poses, residuals=residuals, cost=cost)
 
-    def _residuals(self, rig: Rig, poses: Sequence[Pose]) -> tuple[Array, ...]:
+    def _by_sight(self, residuals: Sequence[Array]) -> tuple[Array, ...]:
         out: list[Array] = [np.zeros((0, 2))] * len(self.sights)
-        for side, medium, members in self._groups():
-            points = [poses[self.sights[i].view].apply(self.sights[i].points_m) for i in members]
-            predicted, _ = project(rig, side, medium, np.concatenate(points))
-            ends = np.cumsum([len(p) for p in points])[:-1]
-            for i, q in zip(members, np.split(predicted, ends), strict=True):
-                out[i] = self.sights[i].pixels - q
+        for group, r in zip(self._groups, residuals, strict=True):
+            for place, part in zip(group.places, np.split(r, group.ends[:-1]), strict=True):
+                out[place] = part
         return tuple(out)
-
-    def _groups(self) -> list[tuple[Side, Medium, list[int]]]:
-        """Sights that one call can project."""
-        groups: dict[tuple[Side, Medium], list[int]] = {}
-        for i, sight in enumerate(self.sights):
-            groups.setdefault((sight.side, sight.medium), []).append(i)
-        return [(side, medium, members) for (side, medium), members in groups.items()]
 
     def _cost(self, rig: Rig, residuals: Sequence[Array], sigma_px: float, robust: bool) -> float:
         e = np.linalg.norm(np.concatenate(residuals), axis=1) / sigma_px
@@ -156,50 +178,58 @@ class Problem:
         mean = np.array([self.priors[name].mean if name in self.priors else 0.0 for name in self.names])
         return weight**2, weight * (values - mean)
 
-    def _system(self, fit: Fit, robust: bool) -> _System:
-        information, miss = self._prior_rows(fit.rig)
-        system = _System(len(self.names), len(fit.poses))
+    def _system(self, state: _State, sigma: float, robust: bool) -> _System:
+        information, miss = self._prior_rows(state.rig)
+        system = _System(len(self.names), len(state.R))
         system.A += np.diag(information)
         system.a -= np.sqrt(information) * miss
-        for side, medium, members in self._groups():
-            self._add_group(system, fit, side, medium, members, robust)
+        for group, residuals in zip(self._groups, state.residuals, strict=True):
+            self._add_group(system, state, group, residuals, sigma, robust)
         return system
 
     def _add_group(
-        self, system: _System, fit: Fit, side: Side, medium: Medium, members: list[int], robust: bool
+        self, system: _System, state: _State, group: _Group, residuals: Array, sigma: float, robust: bool
     ) -> None:
-        turned_m = [self.sights[i].points_m @ fit.poses[self.sights[i].view].R.T for i in members]
-        points = [p + fit.poses[self.sights[i].view].t_m for p, i in zip(turned_m, members, strict=True)]
-        counts = [len(p) for p in points]
-        stacked = np.concatenate(points)
-        pixels, by_point = project(fit.rig, side, medium, stacked)
-        by_globals = by_parameters(fit.rig, side, medium, stacked, pixels, by_point, self.names)
-        by_turn = np.cross(np.concatenate(turned_m)[:, None, :], by_point)  # J (w x p) = w . (p x J)
-        by_pose = np.concatenate([by_turn, by_point], axis=2)
-        residuals = np.concatenate([fit.residuals[i] for i in members])
-        e = np.linalg.norm(residuals, axis=1) / fit.sigma_px
-        root = np.sqrt(np.minimum(1.0, HUBER / np.maximum(e, 1e-12)) if robust else np.ones_like(e)) / fit.sigma_px
-        G, P, r = by_globals * root[:, None, None], by_pose * root[:, None, None], residuals * root[:, None]
-        start = 0
-        for i, count in zip(members, counts, strict=True):
-            part = slice(start, start + count)
+        turned_m = np.einsum("nij,nj->ni", state.R[group.views], group.points_m)
+        points = turned_m + state.t[group.views]
+        pixels, by_point = project(state.rig, group.side, group.medium, points)
+        by_globals = by_parameters(state.rig, group.side, group.medium, points, pixels, by_point, self.names)
+        by_turn = np.cross(turned_m[:, None, :], by_point)  # J (w x p) = w . (p x J)
+        e = np.linalg.norm(residuals, axis=1) / sigma
+        root = np.sqrt(np.minimum(1.0, HUBER / np.maximum(e, 1e-12)) if robust else np.ones_like(e)) / sigma
+        G = by_globals * root[:, None, None]
+        P = np.concatenate([by_turn, by_point], axis=2) * root[:, None, None]
+        r = residuals * root[:, None]
+        starts = np.concatenate([[0], group.ends[:-1]]).astype(int)
+        for place, start, end in zip(group.places, starts, group.ends.astype(int), strict=True):
+            part = slice(start, end)
             width = len(self.names)
-            system.add(self.sights[i].view, G[part].reshape(-1, width), P[part].reshape(-1, 6), r[part].ravel())
-            start += count
+            system.add(self.sights[place].view, G[part].reshape(-1, width), P[part].reshape(-1, 6), r[part].ravel())
 
-    def _noise(self, fit: Fit) -> float:
+    def _noise(self, state: _State, sigma: float) -> float:
         """One coordinate's standard deviation: from the corners within Huber's bound, for the parameters spent."""
-        e = np.linalg.norm(np.concatenate(fit.residuals), axis=1) / fit.sigma_px
+        e = np.linalg.norm(np.concatenate(state.residuals), axis=1) / sigma
         inside = e <= HUBER
-        spent = len(self.names) + 6 * len(fit.poses)
+        spent = len(self.names) + 6 * len(state.R)
         freedom = max(2 * int(inside.sum()) - spent, 1)
         # a clean corner beyond the bound is left out of the sum: what that takes away is put back
         b2 = HUBER**2 / 2
         kept = 1 - b2 * np.exp(-b2) / (1 - np.exp(-b2))
-        return float(fit.sigma_px * np.sqrt((e[inside] ** 2).sum() / freedom / kept)) or 1e-12
+        return float(sigma * np.sqrt((e[inside] ** 2).sum() / freedom / kept)) or 1e-12
 
-    def _covariance(self, fit: Fit, robust: bool) -> Array:
-        return self._system(fit, robust).covariance()
+
+def _grouped(sights: Sequence[Sight]) -> list[_Group]:
+    groups: dict[tuple[Side, Medium], list[int]] = {}
+    for i, sight in enumerate(sights):
+        groups.setdefault((sight.side, sight.medium), []).append(i)
+    out = []
+    for (side, medium), places in groups.items():
+        counts = [len(sights[i].pixels) for i in places]
+        views = np.repeat([sights[i].view for i in places], counts)
+        points = np.concatenate([sights[i].points_m for i in places])
+        pixels = np.concatenate([sights[i].pixels for i in places])
+        out.append(_Group(side, medium, tuple(places), np.cumsum(counts), views, points, pixels))
+    return out
 
 
 def _spread(residuals: Sequence[Array]) -> float:
