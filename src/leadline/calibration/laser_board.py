@@ -1,0 +1,212 @@
+"""A rangefinder whose beam cannot be seen: its readings to the plane of a board that the camera sees.
+
+raw = scale * n . (p - o) / (n . d) + offset, n and p the board's normal and a point of it. Boards at many angles and
+distances fix the beam's origin o (but for its place along the beam, see ``leadline.calibration.laser``) and its
+direction d. Rangefinders have a true minimum range below which they still answer, wrongly. It is the distance below
+which the fit of the longer readings does not believe the shorter ones; these are named, not averaged in.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from leadline.calibration.board import Board, find_corners
+from leadline.calibration.laser import ALONG_SIGMA_M, LASER, SCALE_SIGMA
+from leadline.errors import InputError
+from leadline.geometry import Beam, Camera, Pose
+from leadline.rig import Rig
+from leadline.rig_covariance import RigCovariance
+from leadline.samples import Array, Image
+
+MIN_BOARDS = 8
+OUTLIER_SIGMAS = 4.0
+FOLDS = 5
+_WINDOW = 3  # of the shortest readings, all of which must be believed
+_LOOSE = (1.0, 1.0)  # origin across, m; direction, rad: nothing known
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardReading:
+    """One image: its name, the board's pixels (N, 2) and the raw reading, m."""
+
+    name: str
+    corners_px: Array
+    raw_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardBeamFit:
+    """The beam (in air), which readings made it and how well it fits; all arrays in the order of ``names``."""
+
+    beam: Beam
+    covariance: RigCovariance
+    names: tuple[str, ...]
+    raw_m: Array
+    residual_m: Array
+    used: Mask
+    minimum_m: float | None  # the device's true minimum; None where the readings show none
+    bias_m: float  # of the readings below it
+    held_out_rms_m: float
+
+    @property
+    def rms_m(self) -> float:
+        return float(np.sqrt(np.mean(self.residual_m[self.used] ** 2)))
+
+    @property
+    def outliers(self) -> tuple[str, ...]:
+        """Names of single readings left out, those below the minimum aside."""
+        low = self.raw_m < (self.minimum_m or 0.0)
+        return tuple(name for name, out in zip(self.names, ~self.used & ~low, strict=True) if out)
+
+
+def read_boards(items: Iterable[tuple[str, Image, float]], board: Board) -> tuple[list[BoardReading], tuple[int, int]]:
+    """Boards found in (name, image, reading) items, and the images' size (width, height). InputError if too few."""
+    found, seen, size = [], 0, (0, 0)
+    for name, image, raw_m in items:
+        if seen and size != (image.shape[1], image.shape[0]):
+            raise InputError("the images differ in size", name, "give images of one camera")
+        seen, size = seen + 1, (image.shape[1], image.shape[0])
+        corners = find_corners(image, board)
+        if corners is not None:
+            found.append(BoardReading(name, corners.pixels, raw_m))
+    if len(found) < MIN_BOARDS:
+        what = f"the board is seen in {len(found)} of {seen} images, {MIN_BOARDS} are needed"
+        raise InputError(what, "", "check --board (inner corners), or take more images at many angles")
+    return found, size
+
+
+def calibrate_camera(readings: Sequence[BoardReading], board: Board, size: tuple[int, int]) -> tuple[Camera, float]:
+    """One camera from the same boards (Zhang), and its root mean square residual, px."""
+    points = [np.asarray(board.points_m, np.float32)] * len(readings)
+    pixels = [np.asarray(r.corners_px, np.float32).reshape(-1, 1, 2) for r in readings]
+    rms, K, distortion, *_ = cv2.calibrateCamera(points, pixels, size, np.eye(3), np.zeros(5))
+    K = np.asarray(K, np.float64)
+    k = tuple(float(v) for v in np.ravel(distortion))
+    fx, fy, cx, cy = (float(K[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return Camera(fx, fy, cx, cy, *size, k), float(rms)
+
+
+def calibrate_laser_board(readings: Sequence[BoardReading], board: Board, camera: Camera) -> BoardBeamFit:
+    """Beam of an unseen laser in the camera's frame, in air. InputError where the boards do not fix it."""
+    planes = np.array([_plane(r, board, camera) for r in readings])
+    raw_m = np.array([r.raw_m for r in readings])
+    minimum, used = _sound(planes, raw_m)
+    x = _fit(planes[used], raw_m[used])
+    residual = raw_m - _predicted(x, planes)
+    sigma = float(np.sqrt(np.sum(residual[used] ** 2) / max(used.sum() - 6, 1)))
+    beam, covariance = _beam(x, planes[used], sigma)
+    across = float(np.sqrt(np.trace(covariance.of(LASER[:3])) - ALONG_SIGMA_M**2))
+    if across > 0.1:
+        raise InputError(
+            f"the boards do not fix the beam (its origin is good to {across:.2f} m only)",
+            "",
+            "tilt the board to all sides by 20-40 degrees, at several distances",
+        )
+    low = raw_m < (minimum or 0.0)
+    bias = float(np.median(residual[low])) if low.any() else 0.0
+    return BoardBeamFit(
+        beam, covariance, tuple(r.name for r in readings), raw_m, residual, used, minimum, bias,
+        _held_out(planes[used], raw_m[used]),
+    )  # fmt: skip
+
+
+def with_laser(rig: Rig, fit: BoardBeamFit) -> Rig:
+    """The rig with this beam in the place of its own; the covariance of cameras and port stays."""
+    group = rig.water.group_index if rig.water is not None else 1.0
+    others = tuple(n for n in rig.covariance.names if not n.startswith("laser."))
+    matrix = np.zeros((len(LASER) + len(others),) * 2)
+    matrix[: len(LASER), : len(LASER)] = fit.covariance.matrix
+    matrix[len(LASER) :, len(LASER) :] = rig.covariance.of(others)
+    laser = dataclasses.replace(fit.beam, group_index=group)
+    return dataclasses.replace(rig, laser=laser, covariance=RigCovariance(LASER + others, matrix))
+
+
+def _plane(reading: BoardReading, board: Board, camera: Camera) -> Array:
+    """Normal and a point of the board's plane (6,), camera frame."""
+    distortion = np.array(camera.distortion or (0.0,) * 5)
+    _, turn, t = cv2.solvePnP(board.points_m, reading.corners_px, camera.matrix, distortion)
+    pose = Pose(cv2.Rodrigues(turn)[0], np.ravel(t))
+    return np.concatenate([pose.R[:, 2], pose.apply(board.points_m).mean(axis=0)])
+
+
+def _direction(x: Array) -> Array:
+    direction = np.array([x[2], x[3], 1.0])
+    return np.asarray(direction / np.linalg.norm(direction))
+
+
+def _predicted(x: Array, planes: Array) -> Array:
+    """Readings (N,) for x = origin x, y (at z = 0), direction x/z, y/z, scale, offset."""
+    normal, point = planes[:, :3], planes[:, 3:]
+    origin = np.array([x[0], x[1], 0.0])
+    length = np.einsum("ij,ij->i", normal, point - origin) / (normal @ _direction(x))
+    return np.asarray(x[4] * length + x[5])
+
+
+def _fit(planes: Array, raw_m: Array, *, robust: bool = False) -> Array:
+    def misses(x: Array) -> Array:
+        return np.concatenate([(raw_m - _predicted(x, planes)) / 0.01, [(x[4] - 1.0) / SCALE_SIGMA, x[5] / 1.0]])
+
+    start = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
+    fit = least_squares(misses, start, loss="cauchy" if robust else "linear", x_scale=[0.1, 0.1, 0.1, 0.1, 0.01, 0.1])
+    return np.asarray(fit.x, np.float64)
+
+
+def _sound(planes: Array, raw_m: Array) -> tuple[float | None, Mask]:
+    """The true minimum, and the readings to fit: all from the shortest on that the fit of all longer ones believes."""
+    shortest_first = np.sort(raw_m)
+    believed = np.ones(len(raw_m), bool)
+    for minimum in np.unique(shortest_first[: len(raw_m) // 2]):
+        from_here = raw_m >= minimum
+        off = _sigmas_off(_fit(planes[from_here], raw_m[from_here], robust=True), planes, raw_m, from_here)
+        believed = from_here & (off <= OUTLIER_SIGMAS)
+        if (off[np.argsort(np.where(from_here, raw_m, np.inf))[:_WINDOW]] <= OUTLIER_SIGMAS).all():
+            return (float(minimum) if np.sum(~from_here) >= 2 else None), believed
+    off = _sigmas_off(_fit(planes, raw_m, robust=True), planes, raw_m, believed)
+    return None, off <= OUTLIER_SIGMAS
+
+
+def _sigmas_off(x: Array, planes: Array, raw_m: Array, fitted: Mask) -> Array:
+    residual = raw_m - _predicted(x, planes)
+    return np.asarray(np.abs(residual) / max(1.4826 * float(np.median(np.abs(residual[fitted]))), 0.002))
+
+
+def _beam(x: Array, planes: Array, sigma_m: float) -> tuple[Beam, RigCovariance]:
+    """The beam with its origin abreast of the pupil, and the covariance of LASER."""
+    steps = np.array([1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5])
+    jacobian = np.stack(
+        [(_predicted(x + e, planes) - _predicted(x - e, planes)) / (2 * e.sum()) for e in np.diag(steps)], axis=1
+    )
+    prior = np.diag([1 / _LOOSE[0], 1 / _LOOSE[0], 1 / _LOOSE[1], 1 / _LOOSE[1], 1 / SCALE_SIGMA, 1.0]) ** 2
+    cov = np.linalg.inv(jacobian.T @ jacobian / sigma_m**2 + prior)
+    lift = np.stack([(_named(x + e) - _named(x - e)) / (2 * e.sum()) for e in np.diag(steps)], axis=1)
+    named = _named(x)
+    # Sliding along the beam: origin by d, offset by the scale. One reading cannot tell; the doubt is stated as one.
+    slide = np.concatenate([named[3:6], np.zeros(4), named[6:7]])
+    cov = lift @ cov @ lift.T + ALONG_SIGMA_M**2 * np.outer(slide, slide)
+    beam = Beam(named[:3], named[3:6], named[6], named[7], range_sigma_m=sigma_m)
+    return beam, RigCovariance(LASER, (cov + cov.T) / 2)
+
+
+def _named(x: Array) -> Array:
+    """x in terms of LASER (8,), the origin moved along the beam to abreast of the pupil."""
+    direction, origin = _direction(x), np.array([x[0], x[1], 0.0])
+    back = float(origin @ direction)
+    return np.concatenate([origin - back * direction, direction, [x[4], x[5] - x[4] * back]])
+
+
+def _held_out(planes: Array, raw_m: Array) -> float:
+    """Root mean square over readings that the fit has not seen, each in its turn."""
+    misses = np.empty(len(raw_m))
+    for fold in range(FOLDS):
+        out = np.arange(len(raw_m)) % FOLDS == fold
+        misses[out] = raw_m[out] - _predicted(_fit(planes[~out], raw_m[~out]), planes[out])
+    return float(np.sqrt(np.mean(misses**2)))
