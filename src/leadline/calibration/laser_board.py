@@ -9,21 +9,21 @@ which the fit of the longer readings does not believe the shorter ones; these ar
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from leadline.calibration.board import Board, find_corners
+from leadline.calibration.board import Board, Corners
 from leadline.calibration.laser import ALONG_SIGMA_M, LASER, SCALE_SIGMA
+from leadline.calibration.start import board_pose
 from leadline.errors import InputError
-from leadline.geometry import Beam, Camera, Pose
+from leadline.geometry import Beam, Camera
 from leadline.rig import Rig
 from leadline.rig_covariance import RigCovariance
-from leadline.samples import Array, Image
+from leadline.samples import Array
 
 MIN_BOARDS = 8
 OUTLIER_SIGMAS = 4.0
@@ -36,10 +36,10 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardReading:
-    """One image: its name, the board's pixels (N, 2) and the raw reading, m."""
+    """One image: its name, the board in it and the raw reading, m."""
 
     name: str
-    corners_px: Array
+    corners: Corners
     raw_m: float
 
 
@@ -68,36 +68,9 @@ class BoardBeamFit:
         return tuple(name for name, out in zip(self.names, ~self.used & ~low, strict=True) if out)
 
 
-def read_boards(items: Iterable[tuple[str, Image, float]], board: Board) -> tuple[list[BoardReading], tuple[int, int]]:
-    """Boards found in (name, image, reading) items, and the images' size (width, height). InputError if too few."""
-    found, seen, size = [], 0, (0, 0)
-    for name, image, raw_m in items:
-        if seen and size != (image.shape[1], image.shape[0]):
-            raise InputError("the images differ in size", name, "give images of one camera")
-        seen, size = seen + 1, (image.shape[1], image.shape[0])
-        corners = find_corners(image, board)
-        if corners is not None:
-            found.append(BoardReading(name, corners.pixels, raw_m))
-    if len(found) < MIN_BOARDS:
-        what = f"the board is seen in {len(found)} of {seen} images, {MIN_BOARDS} are needed"
-        raise InputError(what, "", "check --board (inner corners), or take more images at many angles")
-    return found, size
-
-
-def calibrate_camera(readings: Sequence[BoardReading], board: Board, size: tuple[int, int]) -> tuple[Camera, float]:
-    """One camera from the same boards (Zhang), and its root mean square residual, px."""
-    points = [np.asarray(board.points_m, np.float32)] * len(readings)
-    pixels = [np.asarray(r.corners_px, np.float32).reshape(-1, 1, 2) for r in readings]
-    rms, K, distortion, *_ = cv2.calibrateCamera(points, pixels, size, np.eye(3), np.zeros(5))
-    K = np.asarray(K, np.float64)
-    k = tuple(float(v) for v in np.ravel(distortion))
-    fx, fy, cx, cy = (float(K[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    return Camera(fx, fy, cx, cy, *size, k), float(rms)
-
-
 def calibrate_laser_board(readings: Sequence[BoardReading], board: Board, camera: Camera) -> BoardBeamFit:
     """Beam of an unseen laser in the camera's frame, in air. InputError where the boards do not fix it."""
-    planes = np.array([_plane(r, board, camera) for r in readings])
+    readings, planes = _planes(readings, board, camera)
     raw_m = np.array([r.raw_m for r in readings])
     minimum, used = _sound(planes, raw_m)
     x = _fit(planes[used], raw_m[used])
@@ -130,12 +103,15 @@ def with_laser(rig: Rig, fit: BoardBeamFit) -> Rig:
     return dataclasses.replace(rig, laser=laser, covariance=RigCovariance(LASER + others, matrix))
 
 
-def _plane(reading: BoardReading, board: Board, camera: Camera) -> Array:
-    """Normal and a point of the board's plane (6,), camera frame."""
-    distortion = np.array(camera.distortion or (0.0,) * 5)
-    _, turn, t = cv2.solvePnP(board.points_m, reading.corners_px, camera.matrix, distortion)
-    pose = Pose(cv2.Rodrigues(turn)[0], np.ravel(t))
-    return np.concatenate([pose.R[:, 2], pose.apply(board.points_m).mean(axis=0)])
+def _planes(readings: Sequence[BoardReading], board: Board, camera: Camera) -> tuple[list[BoardReading], Array]:
+    """The readings whose board has a place, and normal and a point of each board's plane (N, 6), camera frame."""
+    poses = [board_pose(camera, r.corners, board) for r in readings]
+    kept = [(r, pose) for r, pose in zip(readings, poses, strict=True) if pose is not None]
+    if len(kept) < MIN_BOARDS:
+        what = f"the board is seen in {len(kept)} images, {MIN_BOARDS} are needed"
+        raise InputError(what, "", "check --board (inner corners), or take more images at many angles")
+    planes = [np.concatenate([pose.R[:, 2], pose.apply(board.points_m).mean(axis=0)]) for _, pose in kept]
+    return [r for r, _ in kept], np.array(planes)
 
 
 def _direction(x: Array) -> Array:
