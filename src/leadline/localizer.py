@@ -215,7 +215,7 @@ class Localizer:
             return False
         x = np.concatenate([first.z[:3], first.z[3:] if len(first.z) > 3 else self._target.shape_mean])
         wide = np.diag(np.concatenate([np.full(3, (0.3 * np.linalg.norm(x[:3])) ** 2), self._target.shape_sigma**2]))
-        self._filter.start(t_ns, x, wide)
+        self._filter.start(t_ns, x, wide, self._target.shape_walk)
         return True
 
     def _range_sigma(self, estimate: Estimate) -> float:

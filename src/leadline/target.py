@@ -41,6 +41,11 @@ class Target(Protocol):
         """(k,) its standard deviation."""
         ...
 
+    @property
+    def shape_walk(self) -> Array:
+        """(k,) how much the shape may change, per square root of a second: a ball never, another place of a lump."""
+        ...
+
     def range(self, x: Array) -> tuple[float, Array]:
         """Distance from the origin to the nearest point of the surface, and its gradient (3 + k,)."""
         ...
@@ -77,6 +82,10 @@ class Sphere:
     def radius_m(self, x: Array) -> float:
         return float(x[3]) if self.diameter_m is None else self.diameter_m / 2
 
+    @property
+    def shape_walk(self) -> Array:
+        return np.zeros(0 if self.diameter_m is not None else 1)
+
     def range(self, x: Array) -> tuple[float, Array]:
         distance = float(np.linalg.norm(x[:3]))
         return distance - self.radius_m(x), np.concatenate([x[:3] / distance, -np.ones(len(x) - 3)])
@@ -110,6 +119,10 @@ class Plane:
 
     @property
     def shape_sigma(self) -> Array:
+        return np.empty(0)
+
+    @property
+    def shape_walk(self) -> Array:
         return np.empty(0)
 
     def range(self, x: Array) -> tuple[float, Array]:
@@ -164,6 +177,10 @@ class Cylinder:
         axis: Array = np.cos(x[3]) * down + np.sin(x[3]) * np.cross(sight, down)
         return axis
 
+    @property
+    def shape_walk(self) -> Array:
+        return np.array([0.1, 0.0]) if self.diameter_m is None else np.array([0.1])
+
     def range(self, x: Array) -> tuple[float, Array]:
         distance = float(np.linalg.norm(x[:3]))
         gradient = np.concatenate([x[:3] / distance, [0.0], -np.ones(len(x) - 4)])
@@ -213,6 +230,10 @@ class Surface:
 
     @property
     def shape_sigma(self) -> Array:
+        return np.array([0.05])
+
+    @property
+    def shape_walk(self) -> Array:
         return np.array([0.05])
 
     def range(self, x: Array) -> tuple[float, Array]:

@@ -52,6 +52,7 @@ class Filter:
         self._settings = settings
         self._history: list[_Entry] = []
         self._turned_away: list[Measurement] = []
+        self._shape_walk: Array = np.empty(0)
 
     @property
     def alive(self) -> bool:
@@ -61,8 +62,15 @@ class Filter:
         self._history.clear()
         self._turned_away.clear()
 
-    def start(self, t_ns: int, x: Array, cov: Array) -> None:
-        """Begin at x = (position, shape) with its covariance; the velocity is unknown but for its usual size."""
+    def start(self, t_ns: int, x: Array, cov: Array, shape_walk: Array | None = None) -> None:
+        """Begin at x = (position, shape) with its covariance; the velocity is unknown but for its usual size.
+
+        shape_walk: (k,) how much the shape may change, per square root of a second (default: not at all).
+        """
+        if shape_walk is not None:
+            self._shape_walk = shape_walk
+        elif len(self._shape_walk) != len(x) - 3:
+            self._shape_walk = np.zeros(len(x) - 3)
         y = np.concatenate([x[:3], np.zeros(3), x[3:]])
         P = np.zeros((len(y), len(y)))
         index = seen(len(y))
@@ -110,7 +118,7 @@ class Filter:
         return used, rejected
 
     def _predict(self, state: State, t_ns: int) -> State:
-        """Constant velocity with white acceleration; a shape does not change."""
+        """Constant velocity with white acceleration; the shape walks, if at all."""
         dt = (t_ns - state.t_ns) / NS_PER_S
         F = np.eye(len(state.y))
         F[:3, 3:6] = dt * np.eye(3)
@@ -119,6 +127,7 @@ class Filter:
         Q[:3, :3] = q * dt**2 / 3 * np.eye(3)
         Q[:3, 3:6] = Q[3:6, :3] = q * dt / 2 * np.eye(3)
         Q[3:6, 3:6] = q * np.eye(3)
+        Q[6:, 6:] = abs(dt) * np.diag(self._shape_walk**2)
         return State(t_ns, F @ state.y, F @ state.P @ F.T + Q)
 
     def _forget(self) -> None:
