@@ -30,7 +30,7 @@ def test_clean_dive_is_given_whole(tmp_path: Path) -> None:
     source = open_source(write_folder(tmp_path))
     samples = list(source)
     assert [sample.t_ns for sample in samples] == [t for i in range(4) for t in (i * 400_000_000,) * 2]
-    assert [type(sample) for sample in samples] == [LaserRange, StereoFrame] * 4  # laser first where they tie
+    assert [type(sample) for sample in samples] == [StereoFrame, LaserRange] * 4  # the frame first where they tie
     assert source.notices == []
     assert (source.frame_count, source.image_size, source.rig, source.truth) == (4, (64, 48), None, [])
     frame = frames_of(source)[1]

@@ -1,6 +1,6 @@
 """Time order across sensors.
 
-Samples are given in order of arrival. Equal arrivals: the rangefinder before the frame, then by stamp, then as they
+Samples are given in order of arrival. Equal arrivals: the frame before the reading, then by stamp, then as they
 stand in the file; so the order is a property of the data and a replay is the same run. A sample that is older than one
 already given is given all the same and told as late (latency makes that ordinary); the same sensor and stamp twice is
 one sample.
@@ -28,7 +28,7 @@ def arrival_key(sample: Sample) -> tuple[int, int, int]:
 
 
 def order_key(arrival: int, is_laser: bool, t_ns: int) -> tuple[int, int, int]:
-    return arrival, 0 if is_laser else 1, t_ns
+    return arrival, 1 if is_laser else 0, t_ns
 
 
 def watch_order(samples: Iterator[Sample], tell: Tell) -> Iterator[Sample]:
