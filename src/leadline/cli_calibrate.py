@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from leadline.errors import InputError
+
+if TYPE_CHECKING:
+    from leadline.calibration.board import Board
+    from leadline.pipeline.calibrate_laser import LaserReport
 
 app = typer.Typer(no_args_is_help=True, help="Calibrate cameras, port, laser and range; check a rig.")
 
@@ -46,6 +52,95 @@ def check(
     square: SquareOption,
 ) -> None:
     """How good is a rig on boards that it has not seen? Verdict and next action."""
+
+
+class LaserMedium(StrEnum):
+    AIR = "air"
+    WATER = "water"
+
+
+class LaserMethod(StrEnum):
+    ML = "ml"
+    PAPER = "paper"
+
+
+DiveOption = Annotated[str, typer.Option(help="A static dive: folder or .mcap; stations 2 s and more.")]
+RigOption = Annotated[str, typer.Option(help="Rig file or a shipped rig.")]
+RigOutOption = Annotated[Path, typer.Option(help="Rig file to write; may be the same.")]
+NoBoardOption = Annotated[str | None, typer.Option(help="Inner corners, COLUMNSxROWS; needed where no spot is seen.")]
+NoSquareOption = Annotated[float | None, typer.Option(help="Side of a square in metres.")]
+
+
+@app.command("laser")
+def laser(
+    dive: Annotated[str, typer.Option(help="A static dive with the spot in both images, or images/ and ranges.csv.")],
+    out: RigOutOption,
+    rig: Annotated[str | None, typer.Option(help="Rig file; may be left out with ranges.csv.")] = None,
+    board: NoBoardOption = None,
+    square: NoSquareOption = None,
+    medium: Annotated[LaserMedium, typer.Option(help="Where the dive was made.")] = LaserMedium.AIR,
+    air_port: Annotated[AirPort, typer.Option(help="Were the air images taken through the port?")] = AirPort.WITHOUT,
+    method: Annotated[LaserMethod, typer.Option(help="Ours, or the paper's stacked equations.")] = LaserMethod.ML,
+) -> None:
+    """Where the laser's beam runs, and its range's scale and offset."""
+    from leadline.pipeline import calibrate_laser  # noqa: PLC0415
+
+    aimed_at = _optional_board(board, square)
+    report = calibrate_laser.laser(
+        dive, rig, out, board=aimed_at, medium=medium.value, air_port=air_port.value, method=method.value
+    )
+    _say(report, out)
+
+
+@app.command("range")
+def water_range(
+    dive: DiveOption,
+    rig: RigOption,
+    out: RigOutOption,
+    board: NoBoardOption = None,
+    square: NoSquareOption = None,
+    refine: Annotated[bool, typer.Option("--refine", help="Refine port, index and cameras too.")] = False,
+    port_distance: Annotated[
+        float | None,
+        typer.Option(help="With --refine, pupil to glass in metres, known to 2 mm; default: 0.015 +-0.01."),
+    ] = None,
+    port_thickness: Annotated[float | None, typer.Option(help="Of the glass, metres; default: 0.002 +-0.001.")] = None,
+    port_index: Annotated[float | None, typer.Option(help="Of the glass; default: 1.52 +-0.03.")] = None,
+    water_state: Annotated[
+        str | None, typer.Option(help="With --refine: salinity=PSU,temperature=C,depth=M; default: 1.338 +-0.004.")
+    ] = None,
+) -> None:
+    """In water: what the readings mean, and the paper's f'; with --refine also port, index and cameras."""
+    from leadline.pipeline import calibrate_laser  # noqa: PLC0415
+
+    _optional_board(board, square)  # a spot needs none; it is checked all the same
+    guess = calibrate_laser.port_guess(port_distance, port_thickness, port_index)
+    water = calibrate_laser.water_state(water_state)
+    _say(calibrate_laser.water_range(dive, rig, out, refined=refine, guess=guess, water=water), out)
+
+
+def _optional_board(size: str | None, square: float | None) -> Board | None:
+    from leadline.calibration.board import Board  # noqa: PLC0415
+
+    if (size is None) != (square is None):
+        raise InputError("--board and --square go together", "", "give both or neither")
+    return None if size is None or square is None else Board.parse(size, square)
+
+
+def _say(report: LaserReport, out: Path) -> None:
+    """Remarks, then tables, then the file."""
+    from rich.console import Console  # noqa: PLC0415
+    from rich.table import Table  # noqa: PLC0415
+
+    console = Console(highlight=False)
+    for line in report.lines:
+        typer.echo(line)
+    for title, heads, rows in report.tables:
+        table = Table(*heads, title=title, title_justify="left")
+        for row in rows:
+            table.add_row(*row)
+        console.print(table)
+    typer.echo(str(out))
 
 
 def board(

@@ -28,6 +28,7 @@ DIRECTION = tuple(f"laser.direction[{i}]" for i in range(3))
 ORIGIN = tuple(f"laser.origin_m[{i}]" for i in range(3))
 OUTLIER_SIGMAS = 5.0
 _STATED = 5.0
+_JITTER = 1e-10  # of correlations: parameters of a joint fit can be all but one
 ROUNDING_M = 0.001 / np.sqrt(12)  # devices give millimetres; a static mean cannot be trusted far below
 
 
@@ -74,7 +75,7 @@ def fit_beam(rig: Rig, stations: Sequence[Station], free: tuple[str, ...], prior
         del used[worst]
     for _ in range(2):
         problem = _Problem(rig, used, free, prior, problem.noise(x, lengths))
-        x, lengths = problem.solve()
+        x, lengths = problem.solve(x, lengths)
     chi2, dof = problem.chi2(x, lengths)
     pixels, ranges = problem.residuals(x, lengths)
     result = problem.result(x, lengths)
@@ -107,12 +108,15 @@ class _Problem:
         scale = np.sqrt(np.diag(within))
         self._prior_x = within
         self._to_x = scale  # the fit runs in units of the prior's sigmas
-        self._whiten = np.linalg.inv(np.linalg.cholesky(within / np.outer(scale, scale)))
+        correlation = within / np.outer(scale, scale) + _JITTER * np.eye(len(scale))
+        self._whiten = np.linalg.inv(np.linalg.cholesky(correlation))
         self._count = len(scale)
 
-    def solve(self) -> tuple[Array, Array]:
-        """Free parameters (k,) in their own coordinates, and lengths (N,), m."""
-        fit = least_squares(self._vector, np.concatenate([np.zeros(self._count), self._first_lengths()]), x_scale="jac")
+    def solve(self, x: Array | None = None, lengths_m: Array | None = None) -> tuple[Array, Array]:
+        """Free parameters (k,) in their own coordinates, and lengths (N,), m; from where they are known roughly."""
+        first = np.zeros(self._count) if x is None else x / self._to_x
+        lengths = self._first_lengths() if lengths_m is None else lengths_m
+        fit = least_squares(self._vector, np.concatenate([first, lengths]), x_scale="jac")
         return fit.x[: self._count] * self._to_x, fit.x[self._count :]
 
     def rig(self, x: Array) -> Rig:
@@ -250,7 +254,8 @@ def _with_covariance(rig: Rig, covariance: RigCovariance) -> Rig:
 
 def _inverse(cov: Array) -> Array:
     sigma = np.sqrt(np.diag(cov))
-    return np.asarray(np.linalg.inv(cov / np.outer(sigma, sigma)) / np.outer(sigma, sigma))
+    correlation = cov / np.outer(sigma, sigma) + _JITTER * np.eye(len(cov))
+    return np.asarray(np.linalg.inv(correlation) / np.outer(sigma, sigma))
 
 
 def _solve(information: Array, right_hand: Array) -> Array:

@@ -91,7 +91,7 @@ def with_reading_sigma(rig: Rig, stations: Sequence[Station]) -> Rig:
     return dataclasses.replace(rig, laser=dataclasses.replace(rig.laser, range_sigma_m=sigma))
 
 
-def range_prior(rig: Rig) -> RigCovariance:
+def range_prior(rig: Rig, bend_m: float = BEND_M) -> RigCovariance:
     """The rig's covariance with the doubts of going under water: the beam may bend at its window, and the indices are
     known as well as the water is. A laser without a covariance is known by its kind only."""
     cov = rig.covariance
@@ -99,15 +99,11 @@ def range_prior(rig: Rig) -> RigCovariance:
         cov = laser_prior(rig, cov)
     cov = with_group_index(cov)
     matrix = cov.matrix.copy()
-    for name, more in _bends():
+    for name in LASER[:6]:
         if name in cov.names:
             place = cov.names.index(name)
-            matrix[place, place] += more**2
+            matrix[place, place] += (bend_m if "origin" in name else BEND_RAD) ** 2
     return RigCovariance(cov.names, matrix)
-
-
-def _bends() -> list[tuple[str, float]]:
-    return [(n, BEND_M if "origin" in n else BEND_RAD) for n in LASER[:6]]
 
 
 def with_group_index(cov: RigCovariance) -> RigCovariance:
