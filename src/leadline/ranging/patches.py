@@ -15,7 +15,7 @@ import numpy as np
 from leadline.ranging.images import Float32, Spline
 from leadline.samples import Array
 
-MAX_ITERATIONS = 8
+MAX_ITERATIONS = 5
 MAX_STEP_PX = 0.7
 SETTLED_PX = 3e-3
 MAX_RUN_PX = 2.0  # from the whole-pixel search, which cannot be wrong by more
