@@ -12,6 +12,7 @@ from leadline.errors import InputError
 
 if TYPE_CHECKING:
     from leadline.calibration.board import Board
+    from leadline.pipeline.calibrate_cameras import CameraReport
     from leadline.pipeline.calibrate_laser import LaserReport
 
 app = typer.Typer(no_args_is_help=True, help="Calibrate cameras, port, laser and range; check a rig.")
@@ -42,6 +43,20 @@ def cameras(
     marker: Annotated[float | None, typer.Option(help="Side of a ChArUco marker, metres.")] = None,
 ) -> None:
     """Cameras, their pose, the port and the water's index from boards in air and in water."""
+    from leadline.calibration.cameras import CameraSettings  # noqa: PLC0415  heavy imports wait until they are needed
+    from leadline.pipeline.calibrate_cameras import calibrate  # noqa: PLC0415
+    from leadline.pipeline.calibrate_laser import water_state as stated_water  # noqa: PLC0415
+
+    settings = CameraSettings(port_thickness, port_index, stated_water(water_state))
+    report = calibrate(
+        _board(board, square, charuco, marker),
+        out,
+        air=air,
+        water=water,
+        air_port=air_port is AirPort.WITH,
+        settings=settings,
+    )
+    _print_cameras(report)
 
 
 @app.command("check")
@@ -149,3 +164,18 @@ def board(
     square: SquareOption = 0.030,
 ) -> None:
     """A calibration board as a PDF that measures right on paper (print at 100 %)."""
+
+
+def _board(size: str, square_m: float, charuco: str | None = None, marker_m: float | None = None) -> Board:
+    from leadline.calibration.board import Board, Charuco  # noqa: PLC0415
+
+    if charuco is None:
+        return Board.parse(size, square_m)
+    return Board.parse(size, square_m, Charuco(charuco, 0.7 * square_m if marker_m is None else marker_m))
+
+
+def _print_cameras(report: CameraReport) -> None:
+    from leadline.cli_calibrate_tables import camera_lines  # noqa: PLC0415
+
+    for line in camera_lines(report):
+        typer.echo(line)

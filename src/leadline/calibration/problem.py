@@ -123,6 +123,11 @@ class Problem:
         final = tuple(Pose(R, t) for R, t in zip(state.R, state.t, strict=True))
         return Fit(state.rig, final, self.names, self._by_sight(state.residuals), sigma, state.cost, covariance)
 
+    def information(self, rig: Rig, poses: Sequence[Pose], sigma_px: float) -> Array:
+        """What these sights would tell of the parameters (G, G), their poses unknown: the inverse of a covariance."""
+        R, t = np.array([pose.R for pose in poses]), np.array([pose.t_m for pose in poses])
+        return self._system(_State(rig, R, t, self._residuals(rig, R, t), 0.0), sigma_px, False).information()
+
     def _minimise(self, state: _State, sigma: float, robust: bool) -> _State:
         damping = 1e-4
         state = dataclasses.replace(state, cost=self._cost(state.rig, state.residuals, sigma, robust))
@@ -262,10 +267,15 @@ class _System:
         globals_ = _solve(A, a)
         return globals_, Bb - BC @ globals_
 
-    def covariance(self) -> Array:
+    def information(self) -> Array:
         """Of the globals, the poses marginalised."""
         BC = np.linalg.solve(self.B + 1e-12 * np.eye(6), self.C.transpose(0, 2, 1))
-        A = self.A - np.einsum("vgk,vkh->gh", self.C, BC)
+        out: Array = self.A - np.einsum("vgk,vkh->gh", self.C, BC)
+        return out
+
+    def covariance(self) -> Array:
+        """Of the globals, the poses marginalised."""
+        A = self.information()
         scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
         inverse = np.linalg.pinv(A * np.outer(scale, scale), rcond=1e-14, hermitian=True)
         out: Array = inverse * np.outer(scale, scale)

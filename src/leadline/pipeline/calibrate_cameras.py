@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -9,10 +10,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from leadline.calibration.board import Board, Corners, find_corners
+from leadline.calibration.cameras import CameraCalibration, CameraSettings, calibrate_cameras
+from leadline.calibration.comparison import ModelError, comparison, pinhole_in_water
 from leadline.calibration.derivatives import Medium
+from leadline.calibration.verdict import Verdict, best_images, cross_check, verdict
 from leadline.calibration.views import BoardView
 from leadline.errors import InputError
+from leadline.evaluation.calibration_report import write_page
 from leadline.wire.calibration_folder import CalibrationFolder, read_calibration_folder, read_image
+from leadline.wire.camera_file import write_camera
 from leadline.wire.notice import Notice
 
 Tick = Callable[[int, int | None], object]
@@ -78,4 +84,88 @@ def inputs_of(sets: Sequence[Boards]) -> dict[str, dict[str, object]]:
             "sha256": b.folder.digest(),
         }
         for b in sets
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class CameraReport:
+    """A finished `calibrate cameras`: what the command line prints and the page shows."""
+
+    calibration: CameraCalibration
+    sets: tuple[Boards, ...]
+    models: tuple[ModelError, ...]
+    verdict: Verdict
+    files: tuple[Path, ...]
+
+
+def calibrate(
+    board: Board,
+    out: Path,
+    *,
+    air: Path | None = None,
+    water: Path | None = None,
+    air_port: bool = False,
+    settings: CameraSettings | None = None,
+    tick: Tick = lambda done, total: None,
+) -> CameraReport:
+    """Calibrate from folders and write the rig file and its page. InputError says what is wrong with the images."""
+    if air is None and water is None:
+        raise InputError("there are no images", "--air, --water", "give one of them, or both")
+    in_air = Medium.AIR_BEHIND_PORT if air_port else Medium.AIR
+    places = [(path, medium) for path, medium in ((air, in_air), (water, Medium.WATER)) if path is not None]
+    sets = tuple(find_boards(path, medium, board, tick) for path, medium in places)
+    _require_alike(sets)
+    views = [view for boards in sets for view in boards.views]
+    calibration = calibrate_cameras(views, board, sets[0].size, settings or CameraSettings())
+    pinhole = pinhole_in_water(calibration)
+    models = comparison(calibration, pinhole.rig if pinhole else None)
+    near_far = cross_check(calibration)
+    judged = verdict(calibration, near_far, best_images(calibration))
+    rig = dataclasses.replace(
+        calibration.rig,
+        pinhole_water=None if pinhole is None else (pinhole.rig.left, pinhole.rig.right),
+        provenance=_provenance(calibration, sets, judged),
+    )
+    page = out.with_suffix(".html")
+    if calibration.mono:
+        write_camera(out, rig)
+    else:
+        rig.save(out)
+    report = CameraReport(calibration, sets, tuple(models), judged, (out, page))
+    write_page(page, report.calibration, models, judged, [line for b in sets for line in remarks(b)])
+    return report
+
+
+def _require_alike(sets: Sequence[Boards]) -> None:
+    if len({b.size for b in sets}) > 1:
+        sizes = " and ".join(f"{b.size[0]}x{b.size[1]} ({b.folder.path})" for b in sets)
+        raise InputError(f"images differ in size: {sizes}", "--air, --water", "use the same cameras as they are")
+    if len({b.folder.mono for b in sets}) > 1:
+        one = next(b.folder.path for b in sets if b.folder.mono)
+        raise InputError("has one camera's images, the other folder two", str(one), "name them left* and right*")
+
+
+def remarks(boards: Boards) -> list[str]:
+    """What was strange about a folder, and where no board was found."""
+    lines = [str(notice) for notice in boards.notices]
+    missed = boards.not_found
+    if missed:
+        names = ", ".join(missed[:4]) + (" ..." if len(missed) > 4 else "")
+        lines.append(f"{boards.folder.path}: no board found in {len(missed)} images: {names}")
+    return lines
+
+
+def _provenance(calibration: CameraCalibration, sets: Sequence[Boards], judged: Verdict) -> dict[str, object]:
+    fit, board = calibration.fit, calibration.board
+    return {
+        "source": "leadline calibrate cameras",
+        "date": now(),
+        "board": {"columns": board.columns, "rows": board.rows, "square_m": board.square_m},
+        "inputs": inputs_of(sets),
+        "views": len(calibration.views),
+        "corners": int(sum(len(r) for r in fit.residuals)),
+        "rms_px": round(fit.rms_px, 5),
+        "corner_sigma_px": round(fit.sigma_px, 5),
+        "left_out": [f"{o.name} ({o.side}): {o.why}" for o in calibration.left_out],
+        "verdict": judged.line,
     }
