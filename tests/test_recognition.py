@@ -188,7 +188,8 @@ def test_a_missing_boxes_file(tmp_path: Path) -> None:
 
 def test_choice_without_a_last_box_is_large_and_sure() -> None:
     small, large = Detection((0, 0, 10, 10), 0.9), Detection((50, 50, 40, 40), 0.5)
-    assert choose([small, large]) is large
+    assert choose([small, large]) is small  # a large box that is hardly sure is not the target ...
+    assert choose([small, Detection(large.box_px, 0.6)]) is not small  # ... but a sure one is, before a small one
     assert choose([]) is None
 
 

@@ -28,13 +28,14 @@ from leadline.training.train import Pool, Settings, train
 
 # Whole clips of robosub_transdec_dataset (file numbers, both ends in) that no training has seen; about a fifth.
 HELD_OUT = ((64, 73), (234, 266), (312, 329), (632, 643), (745, 758), (971, 982), (1190, 1213), (1465, 1480))
-DRAWN = ((1500, 1713),)  # drawn pictures, not photographs
+DRAWN = ((1500, 1713),)  # drawn pictures among them, not photographs
 NAMES = ("ball",)
 SIZES = ((272, 480), (320, 480), (320, 400), (360, 480))  # height, width of simulated pictures
 # In these clips some buoys have no label; in the others every buoy has one, and what else looks like one (reflections
 # on the surface, ballast) shall be learnt as none.
 INCOMPLETE = ((21, 103), (522, 1499))
 UNSURE_SCORE = 0.4
+CLOSE_UP_PX = 150  # the lesser side of a box in a simulated picture, which is 272 to 360 px high
 LONG_SIDE = 512
 
 
@@ -56,6 +57,11 @@ def simulated(folder: Path, count: int, seed: int) -> list[Example]:
         Example(folder / name, np.array(b, np.float32).reshape(-1, 4), np.zeros(len(b), np.int64))
         for name, b in notes.items()
     ]
+
+
+def close_ups(examples: list[Example]) -> list[Example]:
+    """Those with a ball as large as the last metre of an approach shows it."""
+    return [e for e in examples if len(e.boxes) and (e.boxes[:, 2:] - e.boxes[:, :2]).min(1).max() > CLOSE_UP_PX]
 
 
 def with_unsure(examples: list[Example], model: Path) -> list[Example]:
@@ -107,7 +113,8 @@ def main() -> None:
     if options.start:
         start = Network(len(NAMES))
         start.load_state_dict(torch.load(options.start))
-    network = train([Pool(made, 0.6), Pool(real, 0.4)], len(NAMES), settings, progress, start)
+    pools = [Pool(made, 0.4), Pool(close_ups(made), 0.25), Pool(real, 0.35)]
+    network = train(pools, len(NAMES), settings, progress, start)
     torch.save(network.state_dict(), options.work / f"{options.out.stem}.pt")
     about = {
         "author": "the leadline project",

@@ -8,10 +8,11 @@ from leadline.samples import Detection
 
 Box = tuple[float, float, float, float]
 REACH = 1.0  # a target moves by at most about its own size between frames
+FAIR = 0.6  # a first choice scores at least this part of the best one
 
 
 def choose(detections: Sequence[Detection], last_box: Box | None = None) -> Detection | None:
-    """The detection that continues ``last_box`` (x, y, w, h), else the one with the largest score times area.
+    """The detection that continues ``last_box`` (x, y, w, h), else, of the surest, the largest (score times area).
 
     A box continues the last one when they overlap, or when its centre lies within ``REACH`` of the last box's size; of
     those the largest overlap counts, then the nearest centre. None only without any detection.
@@ -20,7 +21,9 @@ def choose(detections: Sequence[Detection], last_box: Box | None = None) -> Dete
         near = [d for d in detections if _distance(d.box_px, last_box) <= REACH]
         if near:
             return max(near, key=lambda d: (iou(d.box_px, last_box), -_distance(d.box_px, last_box)))
-    return max(detections, key=lambda d: d.score * d.box_px[2] * d.box_px[3], default=None)
+    best = max((d.score for d in detections), default=0.0)
+    sure = [d for d in detections if d.score >= FAIR * best]
+    return max(sure, key=lambda d: d.score * d.box_px[2] * d.box_px[3], default=None)
 
 
 def iou(a: Box, b: Box) -> float:

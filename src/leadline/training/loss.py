@@ -14,7 +14,7 @@ from leadline.training.network import STRIDES
 
 # A level (stride) learns boxes whose side, the root of the area, is within these pixels; neighbours share the overlap.
 LEVEL_SIDES_PX = ((0.0, 64.0), (48.0, 144.0), (112.0, 1e9))
-LEAST_SPREAD_CELLS, SPREAD = 0.6, 0.08  # the heat's standard deviation: at least so many cells, else a part of the side
+LEAST_SPREAD_CELLS, SPREAD = 0.6, 0.1  # the heat's standard deviation: at least so many cells, else a part of the side
 BOX_HEAT = 0.3  # cells at least this hot learn the box
 BOX_WEIGHT = 2.0
 

@@ -31,7 +31,7 @@ class Settings:
     learning_rate: float = 2e-3
     weight_decay: float = 0.02
     warm_up: int = 60
-    mosaic: float = 0.35
+    mosaic: float = 0.3
     plain_end: float = 0.25  # the last part of the steps sees no mosaic
     average: float = 0.997  # the exported weights are a running mean
     seed: int = 0
