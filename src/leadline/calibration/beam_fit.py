@@ -26,7 +26,8 @@ from leadline.samples import Array
 
 DIRECTION = tuple(f"laser.direction[{i}]" for i in range(3))
 ORIGIN = tuple(f"laser.origin_m[{i}]" for i in range(3))
-OUTLIER_SIGMAS = 5.0
+SUSPECT_SIGMAS = 2.5
+FITS_BETTER = 0.5  # a station is left out if the others then fit at least twice as well (chi2 over its freedom)
 _STATED = 5.0
 _JITTER = 1e-10  # of correlations: parameters of a joint fit can be all but one
 ROUNDING_M = 0.001 / np.sqrt(12)  # devices give millimetres; a static mean cannot be trusted far below
@@ -64,15 +65,20 @@ def fit_beam(rig: Rig, stations: Sequence[Station], free: tuple[str, ...], prior
     fit are left out, one at a time; then the noise is taken as large as the residuals of the rest show it.
     """
     used, left_out = list(stations), []
-    while True:
-        problem = _Problem(rig, used, free, prior, Noise())
-        x, lengths = problem.solve()
+    problem = _Problem(rig, used, free, prior, Noise())
+    x, lengths = problem.solve()
+    while len(used) > 3:
         misfit = problem.misfit(x, lengths)
         worst = int(np.argmax(misfit))
-        if misfit[worst] <= OUTLIER_SIGMAS * max(1.0, float(np.median(misfit))) or len(used) <= 3:
+        if misfit[worst] < SUSPECT_SIGMAS:
+            break
+        others = _Problem(rig, used[:worst] + used[worst + 1 :], free, prior, Noise())
+        there = others.solve()
+        if others.reduced_chi2(*there) > FITS_BETTER * problem.reduced_chi2(x, lengths):
             break
         left_out.append((used[worst].name, f"{misfit[worst]:.0f} sigma off the beam that the others agree on"))
         del used[worst]
+        problem, (x, lengths) = others, there
     for _ in range(2):
         problem = _Problem(rig, used, free, prior, problem.noise(x, lengths))
         x, lengths = problem.solve(x, lengths)
@@ -133,6 +139,10 @@ class _Problem:
         rows = self._white(self.rig(x), lengths_m)
         pull = self._whiten @ (x / self._to_x)
         return float(np.sum(rows**2) + pull @ pull), rows.size - len(lengths_m)
+
+    def reduced_chi2(self, x: Array, lengths_m: Array) -> float:
+        chi2, dof = self.chi2(x, lengths_m)
+        return chi2 / max(dof, 1)
 
     def noise(self, x: Array, lengths_m: Array) -> Noise:
         """What the residuals say the noise is, beside what was stated (which counts as _STATED observations)."""

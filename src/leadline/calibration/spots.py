@@ -24,6 +24,7 @@ STATIC_S = 2.0
 _BLOBS = 6  # of each image
 _RADII_PX = (2.0, 2.8)  # at each level of the pyramid
 _LEVELS = 4
+_SATURATED, _CORE_PX = 250, 25
 _ON_BEAM_M, _ON_BEAM = 0.002, 0.004  # off the line, and of the depth: what a poor calibration leaves
 _RANGE_OFF_M = 0.03
 _STANDS_OUT = 1.2  # over the next best of its image: corners of a board that moves straight also lie on lines
@@ -101,11 +102,14 @@ def spot_candidates(image: Image) -> tuple[Spot, ...]:
 
 
 def _glow(image: Image) -> Array:
-    """Green above the mean of red and blue, zero on anything white or black; and what outshines the rest of the image,
-    since the core of a strong spot is so bright that it is white."""
+    """Green above the mean of red and blue: zero on anything white or black.
+
+    The core of a strong spot is so bright that it is white: what is saturated takes the glow of what is around it.
+    """
     blue, green, red = (image[..., i].astype(np.float32) for i in range(3))
-    top = np.float32(np.percentile(image[::2, ::2, 1], 99.9))
-    return np.asarray(green - 0.5 * (blue + red) + np.maximum(green - top, 0))
+    excess = green - 0.5 * (blue + red)
+    around = cv2.dilate(cv2.blur(excess, (3, 3)), np.ones((_CORE_PX, _CORE_PX), np.uint8))
+    return np.asarray(np.where(green >= _SATURATED, around, excess))
 
 
 def _blobs(measure: Array) -> list[tuple[Array, float, float]]:
