@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -18,6 +19,7 @@ import numpy as np
 from leadline.config import Config
 from leadline.estimation import Estimate, Filter, FilterSettings
 from leadline.ranging.beam import BeamRanger
+from leadline.ranging.calibration_error import CalibrationError
 from leadline.ranging.coarse import Box
 from leadline.ranging.outline import OutlineRanger, OutlineSettings
 from leadline.ranging.stereo import Pair, Prior, StereoRanger, StereoSettings
@@ -75,6 +77,8 @@ class Localizer:
         self._stereo = StereoRanger(rig, self._target, StereoSettings(**self._config.stereo.model_dump()))
         self._outline = self._make_outline()
         self._beam = None if rig.laser is None else BeamRanger(rig, self._target)
+        self._calibration = CalibrationError(rig)
+        self._beam_variance = 0.0 if self._beam is None else self._beam.calibration_variance_m2
         self._readings: deque[LaserRange] = deque(maxlen=32)
         self._last_used: dict[Kind, int] = {}
         self._last_box: Box | None = None
@@ -145,11 +149,19 @@ class Localizer:
             if isinstance(results[-1], Measurement) and isinstance(results[0], Rejected):
                 x = results[-1].z
         results += self._measure_beam(frame, x)
-        taken = [r for r in results if isinstance(r, Measurement)]
+        taken = [self._with_calibration(r) for r in results if isinstance(r, Measurement)]
         return taken, [r for r in results if isinstance(r, Rejected)]
 
+    def _with_calibration(self, measurement: Measurement) -> Measurement:
+        """What vision measures is no better than its calibration: it must not turn the laser away for that."""
+        if measurement.kind not in VISION:
+            return measurement
+        cov = measurement.cov.copy()
+        cov[:3, :3] += self._calibration.at(measurement.z[:3])
+        return replace(measurement, cov=cov)
+
     def _match(self, t_ns: int, pair: Pair, box: Box, before: Estimate | None) -> Measurement | Rejected:
-        """Stereo from the prediction; from nothing where there is none, or where it is too poor to find anything with."""
+        """Stereo from the prediction; from nothing where there is none, or none that anything is found with."""
         if before is not None:
             sigma = self._range_sigma(before)
             if sigma < POOR * np.linalg.norm(before.x[:3]):
@@ -256,13 +268,16 @@ class Localizer:
         return Stage.BINOCULAR
 
     def _systematic(self, estimate: Estimate) -> Array:
-        """Errors that no averaging removes, along the line of sight: they bound how certain a filter may become."""
+        """Errors common to all frames, the calibration's above all: they bound how certain averaging may become."""
         status, distance = self._config.status, float(np.linalg.norm(estimate.x[:3]))
+        sight = estimate.x[:3] / distance
         focal_px = self._rig.left.fx * (1.0 if self._rig.port is None else self._rig.port.outside_index)
-        sigmas = [distance**2 * status.bias_px / (focal_px * self._rig.baseline_m)]
-        if self._recent(BEAM, estimate.t_ns):
-            sigmas.append(status.laser_bias_m)
-        variance = 1 / sum(1 / max(sigma, 1e-9) ** 2 for sigma in sigmas)
-        sight = np.zeros(len(estimate.x))
-        sight[:3] = estimate.x[:3] / distance
-        return variance * np.outer(sight, sight)
+        bias_m = distance**2 * status.bias_px / (focal_px * self._rig.baseline_m)
+        calibration = self._calibration.at(estimate.x[:3])
+        along = bias_m**2 + float(sight @ calibration @ sight)
+        if self._recent(BEAM, estimate.t_ns):  # two independent ways to the same distance
+            along = 1 / (1 / along + 1 / (status.laser_bias_m**2 + self._beam_variance))
+        across = np.eye(3) - np.outer(sight, sight)
+        common = np.zeros((len(estimate.x), len(estimate.x)))
+        common[:3, :3] = across @ calibration @ across + along * np.outer(sight, sight)
+        return common

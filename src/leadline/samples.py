@@ -23,8 +23,8 @@ NS_PER_S = 1_000_000_000
 class StereoFrame:
     """One exposure of both cameras.
 
-    ``t_ns`` is the middle of the exposure, ``arrival_ns`` when the frame reached us (None: at ``t_ns``). ``left_t_ns`` and
-    ``right_t_ns`` are set where the two exposures are known to differ. Images are (H, W, 3) uint8 BGR or (H, W) uint8.
+    ``t_ns`` is the middle of the exposure, ``arrival_ns`` when the frame reached us (None: at ``t_ns``). ``left_t_ns``
+    and ``right_t_ns`` are set where the two exposures are known to differ. Images: (H, W, 3) uint8 BGR or (H, W) uint8.
     ``encoded`` holds the source's own compressed bytes (left, right), so that a recording is bit for bit the source.
     """
 
@@ -90,8 +90,8 @@ class Kind(StrEnum):
 class Measurement:
     """A measurement of the target's state: z = h(x) + noise.
 
-    ``predict`` takes the target's vector x = (position (3,), shape (k,)) and gives h(x) (m,) and its Jacobian (m, 3 + k),
-    or None where x cannot give this measurement at all (the beam misses the target).
+    ``predict`` takes the target's vector x = (position (3,), shape (k,)) and gives h(x) (m,) and its Jacobian
+    (m, 3 + k), or None where x cannot give this measurement at all (the beam misses the target).
     """
 
     kind: Kind
@@ -103,7 +103,7 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True)
 class Rejected:
-    """A measurement that was turned away, and why; ``nis`` is its normalised innovation squared where one was formed."""
+    """A measurement that was turned away, and why; ``nis``: its normalised innovation squared, if one was formed."""
 
     kind: Kind
     t_ns: int

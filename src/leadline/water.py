@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 G_M_S2 = 9.80665
 INDEX_PER_MPA = 1.5e-4
-"""d(index)/d(pressure). Quan & Fry have no such term. Published slopes lie on both sides: 1.45e-4 in the deep-sea neutrino
-telescopes' form of their formula (Schuster, thesis, Oxford 2002), 1.64e-4 in Waxler, Weir & Schamp (1964) at 1.6 C and
-502 nm over the first 27 MPa; Millard & Seaver, Deep-Sea Research 37(12) 1909 (1990) fit all of it. At 100 m the doubt is
-2e-5, a tenth of what a calibration leaves."""
+"""d(index)/d(pressure). Quan & Fry have no such term. Published slopes lie on both sides: 1.45e-4 in the deep-sea
+neutrino telescopes' form of their formula (Schuster, thesis, Oxford 2002), 1.64e-4 in Waxler, Weir & Schamp (1964) at
+1.6 C and 502 nm over the first 27 MPa; Millard & Seaver, Deep-Sea Research 37(12) 1909 (1990) fit all of it. At 100 m
+the doubt is 2e-5, a tenth of what a calibration leaves."""
 
 CHANNEL_NM = {"blue": 470.0, "green": 532.0, "red": 620.0}
 """The wavelength that stands for each colour channel of a camera."""

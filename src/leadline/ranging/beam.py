@@ -9,11 +9,13 @@ from collections.abc import Callable
 
 import numpy as np
 
+from leadline.ranging.calibration_error import beam_cov
 from leadline.rig import Rig, Side
 from leadline.samples import Array, Kind, LaserRange, Measurement, Rejected
 from leadline.target import Target
 
 CURVE_STEP_PX = 0.5
+TYPICAL_M = 1.0  # where the calibration's error along the beam is taken: offset and scale hardly differ over the range
 
 
 class BeamRanger:
@@ -21,11 +23,13 @@ class BeamRanger:
         if rig.laser is None:
             raise ValueError("the rig has no laser")
         self._rig, self._target, self._laser = rig, target, rig.laser
+        reading = rig.laser.raw_m(TYPICAL_M)
+        self.calibration_variance_m2 = float(rig.laser.direction @ beam_cov(rig, reading) @ rig.laser.direction)
 
     def reading(self, sample: LaserRange, extra_sigma_m: float = 0.0) -> Measurement:
         """The raw reading; ``extra_sigma_m`` for a target that moved since."""
         gain = self._laser.range_scale * self._laser.group_index
-        sigma = np.hypot(self._laser.range_sigma_m, gain * extra_sigma_m)
+        sigma = np.hypot(self._laser.range_sigma_m, gain * np.sqrt(extra_sigma_m**2 + self.calibration_variance_m2))
         predict = self._length(self._laser.raw_m, gain)
         return Measurement(Kind.LASER, sample.t_ns, np.array([sample.range_m]), np.array([[sigma**2]]), predict)
 
