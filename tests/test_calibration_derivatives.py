@@ -7,8 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from leadline.calibration.derivatives import Medium, by_parameters, project
+from leadline.calibration.derivatives import Medium, by_parameters, point_sensitivity, project
 from leadline.geometry import Camera, LayeredPort, Pose
+from leadline.ranging.calibration_error import position_sensitivity
 from leadline.rig import Rig, Side
 from leadline.rig_parameters import get, replaced, turn
 
@@ -57,3 +58,13 @@ def test_a_board_in_air_says_nothing_about_the_water(rig: Rig) -> None:
 def test_a_rig_without_port_is_refused_in_water(rig: Rig) -> None:
     with pytest.raises(ValueError, match="no port"):
         project(dataclasses.replace(rig, port=None), "left", Medium.WATER, np.array([[0.0, 0.0, 1.0]]))
+
+
+def test_a_triangulated_points_sensitivity_by_two_ways(rig: Rig) -> None:
+    points = np.array([[0.1, -0.05, 0.6], [0.0, 0.1, 1.4]])
+    by_differences = position_sensitivity(rig, points, NAMES)
+    np.testing.assert_allclose(point_sensitivity(rig, points, NAMES), by_differences, rtol=2e-4, atol=2e-5)
+
+
+def test_a_point_behind_the_glass_has_no_sensitivity(rig: Rig) -> None:
+    assert np.isnan(point_sensitivity(rig, np.array([[0.0, 0.0, 0.01]]), NAMES)).all()

@@ -15,12 +15,11 @@ import numpy as np
 
 from leadline.calibration.board import Board
 from leadline.calibration.cameras import CameraCalibration
-from leadline.calibration.derivatives import Medium
+from leadline.calibration.derivatives import Medium, point_sensitivity
 from leadline.calibration.problem import Fit, Prior, Problem
 from leadline.calibration.start import board_pose
 from leadline.calibration.views import POSE_NAMES, BoardView, lens_names, sights_of
 from leadline.geometry import Camera, Pose
-from leadline.ranging.calibration_error import position_sensitivity
 from leadline.rig import Rig
 from leadline.samples import Array
 
@@ -60,7 +59,7 @@ def field_points(rig: Rig, distances_m: Sequence[float] = DISTANCES_M) -> Array:
 def calibration_sigma_mm(rig: Rig, points_m: Array) -> tuple[Array, Array]:
     """Standard deviations from the rig's covariance at points (N, 3): of depth (N,) and of the whole (N,), mm."""
     names = tuple(n for n in rig.covariance.names if n != "water.group_index" and not n.startswith("laser."))
-    sensitivity = position_sensitivity(rig, points_m, names) * 1e3
+    sensitivity = point_sensitivity(rig, points_m, names) * 1e3
     cov = np.einsum("nij,jk,nlk->nil", sensitivity, rig.covariance.of(names), sensitivity)
     with np.errstate(invalid="ignore"):
         return np.sqrt(cov[:, 2, 2]), np.sqrt(np.trace(cov, axis1=1, axis2=2))

@@ -28,6 +28,8 @@ from leadline.geometry import Camera, LayeredPort
 from leadline.rig import Rig, Side
 from leadline.samples import Array
 
+SIDES: tuple[Side, Side] = ("left", "right")
+
 
 class Medium(StrEnum):
     """Where a board was: in water; in air, the cameras without the housing; in air before the housing's port."""
@@ -192,3 +194,22 @@ class _Ray:
         dS = de + self.S_by_q2 * 2 * np.einsum("ni,ni->n", self.a, da)
         out: Array = dc + dn * self.along[:, None] + self.n * de + da * self.S[:, None] + self.a * dS[:, None]
         return out
+
+
+def point_sensitivity(rig: Rig, points_m: Array, names: Sequence[str]) -> Array:
+    """d(triangulated point)/d(parameters) (N, 3, k) at points (N, 3) of the rig's medium; NaN where not seen twice.
+
+    ``ranging.calibration_error.position_sensitivity`` does the same by differences.
+    """
+    medium = Medium.AIR if rig.port is None else Medium.WATER
+    by_point, by_names = list[Array](), list[Array]()
+    seen = np.ones(len(points_m), dtype=bool)
+    for side in SIDES:
+        pixels, jacobian = project(rig, side, medium, points_m)
+        by_point.append(jacobian)
+        by_names.append(by_parameters(rig, side, medium, points_m, pixels, jacobian, names))
+        seen &= np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(by_names[-1]).all(axis=(1, 2))
+    J, moved = np.concatenate(by_point, axis=1), np.concatenate(by_names, axis=1)
+    J[~seen], moved[~seen] = np.eye(4, 3), np.nan
+    out: Array = -np.linalg.pinv(J) @ moved
+    return out

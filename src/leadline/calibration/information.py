@@ -9,11 +9,10 @@ import numpy as np
 
 from leadline.calibration.board import Board
 from leadline.calibration.cameras import CameraCalibration
-from leadline.calibration.derivatives import Medium, project
+from leadline.calibration.derivatives import Medium, point_sensitivity, project
 from leadline.calibration.problem import Problem, Sight
 from leadline.calibration.views import SIDES
 from leadline.geometry import Pose
-from leadline.ranging.calibration_error import position_sensitivity
 from leadline.rig import Rig
 from leadline.rig_parameters import turn
 from leadline.samples import Array
@@ -57,7 +56,7 @@ class Suggestion:
 def limits(rig: Rig, points_m: Array) -> dict[str, float]:
     """The share of the depth's variance, mean over points (N, 3), that goes once a group of parameters is known."""
     names = rig.covariance.names
-    sensitivity = position_sensitivity(rig, points_m, names)[:, 2]
+    sensitivity = point_sensitivity(rig, points_m, names)[:, 2]
     cov = rig.covariance.matrix
     total = np.einsum("nj,jk,nk->n", sensitivity, cov, sensitivity)
     out = {}
@@ -73,7 +72,7 @@ def suggestion(calibration: CameraCalibration, points_m: Array) -> Suggestion | 
     """The images that would lower the mean depth variance at points (N, 3) most; None where no board fits the view."""
     rig, fit = calibration.rig, calibration.fit
     information = _inverse(fit.covariance)
-    depth = position_sensitivity(rig, points_m, fit.names)[:, 2] * 1e3
+    depth = point_sensitivity(rig, points_m, fit.names)[:, 2] * 1e3
     before = _mean_sigma(depth, fit.covariance)
     best: Suggestion | None = None
     for medium in sorted(calibration.media()):

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from leadline.calibration.board import Board
+from leadline.calibration.derivatives import point_sensitivity
 from leadline.calibration.views import BoardView
-from leadline.ranging.calibration_error import position_sensitivity
 from leadline.rig import Rig
 from leadline.samples import Array
 
@@ -66,7 +66,7 @@ def board_lengths(rig: Rig, views: Sequence[BoardView], board: Board, sigma_px: 
     names = _uncertain(rig)
     ends = [0, board.columns - 1, -board.columns, -1]
     outer = np.array([m.points_m[ends] for m in measured]).reshape(-1, 3)
-    moved = position_sensitivity(rig, outer, names) if names else np.zeros((len(outer), 3, 0))
+    moved = point_sensitivity(rig, outer, names) if names else np.zeros((len(outer), 3, 0))
     by_board = moved.reshape(len(measured), 4, 3, -1)
     lengths = [_length(m, board, ends, by) for m, by in zip(measured, by_board, strict=True)]
     return sorted(lengths, key=lambda length: length.distance_m)
