@@ -67,6 +67,13 @@ def check(
     square: SquareOption,
 ) -> None:
     """How good is a rig on boards that it has not seen? Verdict and next action."""
+    from leadline.cli_calibrate_tables import check_lines  # noqa: PLC0415
+    from leadline.pipeline.calibrate_cameras import check as run_check  # noqa: PLC0415
+
+    target = _board(board, square)
+    held_out, remarks = run_check(rig, dive, target)
+    for line in (*remarks, *check_lines(held_out, target)):
+        typer.echo(line)
 
 
 class LaserMedium(StrEnum):

@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from leadline.calibration.comparison import DISTANCES_M
+from leadline.calibration.heldout import by_distance
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from leadline.calibration.board import Board
+    from leadline.calibration.heldout import HeldOut
     from leadline.calibration.verdict import Verdict
     from leadline.pipeline.calibrate_cameras import CameraReport
 
@@ -50,6 +53,26 @@ def camera_lines(report: CameraReport) -> Iterator[str]:
             yield f"  {model.name:21}" + "  ".join(f"{v:+7.2f}" for v in model.depth_mm[:, 0])
     yield from verdict_lines(report.verdict)
     yield from (str(file) for file in report.files)
+
+
+def check_lines(held_out: HeldOut, board: Board) -> Iterator[str]:
+    """The result of `calibrate check`, line by line."""
+    fit = held_out.found.fit
+    counted = f"{len(held_out.found.views)} boards that the calibration has not seen"
+    noise = f"{fit.sigma_px:.3f} px a coordinate (calibration: {held_out.expected_px:.3f})"
+    yield f"{counted}: {fit.rms_px:.3f} px rms, {noise}"
+    yield "distance m  boards  square off by mm  scatter mm"
+    for distance, count, off, scatter in by_distance(held_out.lengths, board):
+        yield f"{distance:10.2f}  {count:6d}  {off:+16.4f}  {scatter:10.3f}"
+    mean, sigma = held_out.scale
+    yield f"size of the boards {mean:+.3%} +-{sigma:.3%}"
+    if held_out.halves is not None:
+        h = held_out.halves
+        yield f"near {h.near:+.3%}, far {h.far:+.3%} of their size: {h.sigmas:.1f} sigma apart"
+    if held_out.focal is not None:
+        f = held_out.focal
+        yield f"near boards want a focal length {f.near:+.3%}, far ones {f.far:+.3%}: {f.sigmas:.1f} sigma apart"
+    yield from verdict_lines(held_out.verdict)
 
 
 def verdict_lines(verdict: Verdict) -> Iterator[str]:

@@ -209,7 +209,12 @@ class Problem:
         for place, start, end in zip(group.places, starts, group.ends.astype(int), strict=True):
             part = slice(start, end)
             width = len(self.names)
-            system.add(self.sights[place].view, G[part].reshape(-1, width), P[part].reshape(-1, 6), r[part].ravel())
+            system.add(
+                self.sights[place].view,
+                G[part].reshape(2 * (end - start), width),
+                P[part].reshape(-1, 6),
+                r[part].ravel(),
+            )
 
     def _noise(self, state: _State, sigma: float) -> float:
         """One coordinate's standard deviation: from the corners within Huber's bound, for the parameters spent."""
@@ -276,6 +281,8 @@ class _System:
     def covariance(self) -> Array:
         """Of the globals, the poses marginalised."""
         A = self.information()
+        if not len(A):
+            return A
         scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
         inverse = np.linalg.pinv(A * np.outer(scale, scale), rcond=1e-14, hermitian=True)
         out: Array = inverse * np.outer(scale, scale)

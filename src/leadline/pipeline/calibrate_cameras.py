@@ -13,10 +13,12 @@ from leadline.calibration.board import Board, Corners, find_corners
 from leadline.calibration.cameras import CameraCalibration, CameraSettings, calibrate_cameras
 from leadline.calibration.comparison import ModelError, comparison, pinhole_in_water
 from leadline.calibration.derivatives import Medium
+from leadline.calibration.heldout import HeldOut, check_rig
 from leadline.calibration.verdict import Verdict, best_images, cross_check, verdict
 from leadline.calibration.views import BoardView
 from leadline.errors import InputError
 from leadline.evaluation.calibration_report import write_page
+from leadline.rig import Rig
 from leadline.wire.calibration_folder import CalibrationFolder, read_calibration_folder, read_image
 from leadline.wire.camera_file import write_camera
 from leadline.wire.notice import Notice
@@ -169,3 +171,10 @@ def _provenance(calibration: CameraCalibration, sets: Sequence[Boards], judged: 
         "left_out": [f"{o.name} ({o.side}): {o.why}" for o in calibration.left_out],
         "verdict": judged.line,
     }
+
+
+def check(rig_file: str, path: Path, board: Board, tick: Tick = lambda done, total: None) -> tuple[HeldOut, list[str]]:
+    """`calibrate check`: a rig judged by the boards of a folder or dive, and what was strange about the folder."""
+    rig = Rig.load(rig_file)
+    boards = find_boards(path, Medium.AIR if rig.port is None else Medium.WATER, board, tick)
+    return check_rig(rig, boards.views, board, boards.size), remarks(boards)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from leadline.errors import InputError
 from leadline.samples import Image
+from leadline.wire.dive_folder import read_frames
 from leadline.wire.images import decode_image
 from leadline.wire.notice import Notice, NoticeKind
 
@@ -56,6 +57,8 @@ def read_calibration_folder(folder: Path) -> CalibrationFolder:
     """InputError where the folder is not there, has no images, or only one camera's of a pair."""
     if not folder.is_dir():
         raise InputError("there is no such folder", str(folder), "give a folder with images of the board")
+    if (folder / "frames.csv").is_file():
+        return _dive(folder)
     left, right = _sides(folder)
     if not left and not right:
         single = _images(folder)
@@ -66,6 +69,15 @@ def read_calibration_folder(folder: Path) -> CalibrationFolder:
         missing = "left" if right else "right"
         raise InputError(f"has no {missing} images", str(folder), "name them left* and right*, or use two folders")
     return _paired(folder, left, right)
+
+
+def _dive(folder: Path) -> CalibrationFolder:
+    notices: list[Notice] = []
+    entries = read_frames(folder, notices.append)
+    if any(len(entry.files) != 2 for entry in entries):
+        raise InputError("has side-by-side frames", str(folder / "frames.csv"), "split them into left and right files")
+    pairs = tuple(ImagePair(entry.name, *entry.files) for entry in entries)
+    return CalibrationFolder(folder, pairs, tuple(notices))
 
 
 def read_image(path: Path) -> Image:
