@@ -57,18 +57,19 @@ def first_guess(target: Target, points: Points) -> Array:
 
 
 def _foot(p_m: Array) -> Array:
-    """Foot of the perpendicular on the plane through points, robust to a few wrong ones."""
-    keep = np.ones(len(p_m), bool)
-    foot = np.median(p_m, axis=0)
-    for _ in range(5):
-        centre = p_m[keep].mean(axis=0)
-        normal = np.linalg.svd(p_m[keep] - centre, full_matrices=False)[2][-1]
-        foot = normal * (normal @ centre)
-        off = np.abs((p_m - centre) @ normal)
-        keep = off <= 3 * np.median(off) + 1e-6
-        if keep.sum() < 3:
-            break
-    return np.asarray(foot)
+    """Foot of the perpendicular on the plane through points, robust to many wrong ones.
+
+    A plane is m.p = 1, so over the distance of p it is linear in 1/distance, whose slopes, the directions, are right
+    even where a match is wrong: least absolute deviations by reweighting cannot be levered.
+    """
+    nearness = 1 / np.linalg.norm(p_m, axis=1)
+    directions = p_m * nearness[:, None]
+    weight = np.ones(len(p_m))
+    for _ in range(20):
+        root = np.sqrt(weight)
+        m = np.linalg.lstsq(directions * root[:, None], nearness * root, rcond=None)[0]
+        weight = 1 / np.maximum(np.abs(nearness - directions @ m), 1e-3 * np.median(nearness))
+    return np.asarray(m / (m @ m))
 
 
 def _best_axis(target: Cylinder, points: Points, centre: Array) -> Array:

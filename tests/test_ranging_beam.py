@@ -1,0 +1,130 @@
+"""The beam's two measurements: the reading and the spot, both lengths along one ray."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from leadline.ranging.beam import BeamRanger
+from leadline.rig import Rig
+from leadline.samples import Array, Kind, LaserRange, Measurement, Rejected
+from leadline.target import Cylinder, Plane, Sphere, Surface, Target
+
+RIG = Rig.load("rendered")
+assert RIG.laser is not None
+LASER = RIG.laser
+BALL = np.array([-0.05, 0.03, 1.0])
+CASES: list[tuple[Target, list[float]]] = [
+    (Sphere(0.34), [-0.05, 0.03, 1.0]),
+    (Sphere(), [-0.05, 0.03, 1.0, 0.17]),
+    (Plane(), [0.05, 0.1, 0.9]),
+    (Cylinder(0.5), [-0.05, 0.03, 1.2, 0.1]),
+    (Surface(), [-0.02, 0.0, 0.8, 0.02]),
+]
+
+
+def pixels(length_m: float) -> tuple[Array, Array]:
+    left, right = RIG.project((LASER.origin_m + length_m * LASER.direction)[None])
+    return left[0], right[0]
+
+
+def length_to(target: Target, x: Array) -> float:
+    return float(target.beam_length(x, LASER.origin_m[None], LASER.direction[None])[0][0])
+
+
+def spot(length_m: float, off_px: tuple[Array, Array] = (np.zeros(2), np.zeros(2)), sigma_px: float = 0.2) -> object:
+    cov = sigma_px**2 * np.eye(2)
+    left, right = pixels(length_m)
+    return BeamRanger(RIG, Sphere(0.34)).spot(7, {"left": (left + off_px[0], cov), "right": (right + off_px[1], cov)})
+
+
+@pytest.mark.parametrize(("target", "x"), CASES, ids=lambda v: v.name if hasattr(v, "name") else "")
+def test_a_reading_predicts_what_the_device_would_say(target: Target, x: list[float]) -> None:
+    state = np.array(x)
+    measurement = BeamRanger(RIG, target).reading(LaserRange(5, 1.5))
+    predicted = measurement.predict(state)
+    assert predicted is not None
+    value, gradient = predicted
+    assert measurement.kind is Kind.LASER
+    assert value == pytest.approx([1.004 * 1.35656 * length_to(target, state) + 0.012], abs=1e-4)
+    for i, d in enumerate(1e-6 * np.eye(len(state))):
+        high, low = (measurement.predict(state + s * d)[0] for s in (1, -1))  # type: ignore[index]
+        assert gradient[0, i] == pytest.approx((high[0] - low[0]) / 2e-6, abs=1e-5)
+
+
+def test_a_reading_carries_the_devices_noise_and_what_the_target_moved() -> None:
+    ranger = BeamRanger(RIG, Sphere(0.34))
+    gain = LASER.range_scale * LASER.group_index
+    assert ranger.reading(LaserRange(5, 1.5)).cov == pytest.approx(np.array([[LASER.range_sigma_m**2]]))
+    moved = ranger.reading(LaserRange(5, 1.5), 0.02).cov
+    assert moved == pytest.approx(np.array([[LASER.range_sigma_m**2 + (gain * 0.02) ** 2]]))
+
+
+def test_a_beam_that_passes_by_can_give_no_reading() -> None:
+    aside = np.array([0.8, 0.03, 1.0])
+    assert BeamRanger(RIG, Sphere(0.34)).reading(LaserRange(5, 1.5)).predict(aside) is None
+
+
+@pytest.mark.parametrize("length_m", [0.4, 0.8, 1.6, 3.0])
+def test_a_spot_is_a_length(length_m: float) -> None:
+    found = spot(length_m)
+    assert isinstance(found, Measurement)
+    assert found.z == pytest.approx([length_m], abs=1e-6)
+    ball = LASER.origin_m + (length_m + 0.17) * LASER.direction
+    predicted = found.predict(ball)
+    assert predicted is not None
+    assert predicted[0] == pytest.approx([length_m], abs=1e-9)
+    assert predicted[1] @ (1e-5 * LASER.direction) == pytest.approx([1e-5], rel=1e-3)
+
+
+@pytest.mark.parametrize("sides", [("left",), ("right",), ("left", "right")])
+def test_one_image_or_both(sides: tuple[str, ...]) -> None:
+    seen = dict(zip(("left", "right"), pixels(1.0), strict=True))
+    found = BeamRanger(RIG, Sphere(0.34)).spot(7, {side: (seen[side], 0.04 * np.eye(2)) for side in sides})  # type: ignore[misc]
+    assert isinstance(found, Measurement)
+    assert found.z == pytest.approx([1.0], abs=1e-6)
+
+
+def test_stated_sigma_is_the_sampled_one() -> None:
+    """400 spots know the RMS of z to 3.5 %. A misfit widens the sigma and never narrows it: chi2 / 3 above 1 is 1.4 on
+    average of the wider ones, so that z is somewhat below 1. Half or double the sigma is far outside."""
+    rng = np.random.default_rng(1)
+    z = []
+    for _ in range(400):
+        found = spot(1.0, (rng.normal(0, 0.2, 2), rng.normal(0, 0.2, 2)))
+        assert isinstance(found, Measurement)
+        z.append((found.z[0] - 1.0) / np.sqrt(found.cov[0, 0]))
+    rms = np.sqrt(np.mean(np.square(z)))
+    for factor in (0.5, 1.0, 2.0):
+        assert (0.75 < rms / factor < 1.05) == (factor == 1.0)
+
+
+def test_a_spot_off_the_beam_is_turned_away() -> None:
+    slope = np.array(pixels(1.001)[0]) - pixels(0.999)[0]
+    across = np.array([-slope[1], slope[0]]) / np.linalg.norm(slope)
+    found = spot(1.0, (5 * across, 5 * across))
+    assert isinstance(found, Rejected)
+    assert found.reason == "is not on the beam"
+
+
+def test_two_spots_at_different_lengths_are_turned_away() -> None:
+    left, right = pixels(1.0)[0], pixels(1.3)[1]
+    seen = {"left": (left, 0.04 * np.eye(2)), "right": (right, 0.04 * np.eye(2))}
+    assert isinstance(BeamRanger(RIG, Sphere(0.34)).spot(7, seen), Rejected)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_the_curve_is_the_beams_image(side: str) -> None:
+    lengths, curve_px = BeamRanger(RIG, Sphere(0.34)).curve(side, 0.5, 2.0)  # type: ignore[arg-type]
+    assert lengths[[0, -1]] == pytest.approx([0.5, 2.0], rel=0.01)
+    steps = np.linalg.norm(np.diff(curve_px, axis=0), axis=1)
+    assert steps == pytest.approx(0.5, abs=0.05)
+    exact = RIG.project(LASER.origin_m + lengths[:, None] * LASER.direction)[side == "right"]
+    assert curve_px == pytest.approx(exact, abs=1e-9)
+
+
+def test_a_rig_without_a_laser_has_no_beam() -> None:
+    with pytest.raises(ValueError, match="no laser"):
+        BeamRanger(dataclasses.replace(RIG, laser=None), Sphere(0.34))

@@ -1,0 +1,114 @@
+"""Shapes through measured points: right among outliers, and as certain as they say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from leadline.ranging.shape_fit import Fit, Points, fit
+from leadline.ranging.surface_fit import fit_surface
+from leadline.samples import Array
+from leadline.target import Cylinder, Plane, Sphere, Surface, Target
+
+SIGMA_M = 0.002
+BEAM = np.array([-0.04, 0.09, 0.02]), np.array([0.06, -0.03, 0.9978]) / np.linalg.norm([0.06, -0.03, 0.9978])
+CASES: list[tuple[Target, list[float], float]] = [  # target, x, half the field of view that it fills
+    (Sphere(0.34), [0.05, -0.02, 1.0], 0.12),
+    (Sphere(), [0.05, -0.02, 1.0, 0.17], 0.12),
+    (Plane(), [0.1, -0.15, 0.9], 0.25),
+    (Cylinder(0.5), [0.05, 0.02, 1.2, 0.2], 0.15),
+    (Cylinder(), [0.05, 0.02, 1.2, 0.2, 0.25], 0.15),
+]
+
+
+def named(value: object) -> str:
+    return value.name if isinstance(value, Sphere | Plane | Cylinder | Surface) else ""
+
+
+def seen(target: Target, x: Array, half: float, rng: np.random.Generator, sigma_m: float, count: int = 100) -> Points:
+    """Points where random rays from the left pupil meet the target, with noise along the rays."""
+    slopes = np.column_stack([x[:2] / x[2] + rng.uniform(-half, half, (count, 2)), np.ones(count)])
+    directions = slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
+    length, _ = target.beam_length(x, np.zeros((count, 3)), directions)
+    points = Points(np.zeros((count, 3)), directions, length + rng.normal(0, sigma_m, count), np.full(count, sigma_m))
+    return points.pick(np.isfinite(length))
+
+
+def spoilt(points: Points, rng: np.random.Generator, low: float, high: float, share: float = 0.2) -> Points:
+    """A share of the points moved to anywhere between these parts of their distance."""
+    wrong = rng.random(len(points.length_m)) < share
+    length = np.where(wrong, points.length_m * rng.uniform(low, high, len(wrong)), points.length_m)
+    return Points(points.origins_m, points.directions, length, points.sigma_m)
+
+
+def fitted(target: Target, points: Points) -> Fit:
+    found = fit(target, points)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize(("target", "x", "half"), CASES, ids=named)
+def test_exact_on_exact_points(target: Target, x: list[float], half: float) -> None:
+    points = seen(target, np.array(x), half, np.random.default_rng(1), 0.0)
+    exact = Points(points.origins_m, points.directions, points.length_m, np.full(len(points.length_m), 1e-4))
+    assert fitted(target, exact).x == pytest.approx(x, abs=2e-4)
+
+
+@pytest.mark.parametrize(("target", "x", "half"), CASES, ids=named)
+def test_right_among_a_fifth_of_outliers(target: Target, x: list[float], half: float) -> None:
+    """Known sizes among grossly wrong points; an unknown size is told by little, and stands a tenth aside."""
+    rng = np.random.default_rng(2)
+    true, off = np.array(x), []
+    low, high = (0.5, 2.0) if target.name not in ("sphere", "cylinder") else (0.9, 1.1)
+    for _ in range(8):
+        found = fitted(target, spoilt(seen(target, true, half, rng, SIGMA_M), rng, low, high))
+        error = target.range(found.x)[0] - target.range(true)[0]
+        gradient = target.range(found.x)[1]
+        sigma = float(np.sqrt(gradient @ found.cov @ gradient))
+        assert sigma < 0.004
+        off.append(error / sigma)
+    assert np.abs(off).max() < 4
+
+
+@pytest.mark.parametrize(("target", "x", "half"), [CASES[0], CASES[2], CASES[3]], ids=named)
+def test_covariance_is_the_sampled_one(target: Target, x: list[float], half: float) -> None:
+    """120 fits: the mean NEES over the dimensions is known to 7.5 % for three, so 28 % is 3.7 sigmas (false alarm 2e-4,
+    and the seed is fixed); half or double the covariance is outside."""
+    rng, true, total, fits = np.random.default_rng(3), np.array(x), 0.0, 120
+    for _ in range(fits):
+        found = fit(target, seen(target, true, half, rng, SIGMA_M), true + 0.01)
+        assert found is not None
+        error = found.x - true
+        total += float(error @ np.linalg.solve(found.cov, error)) / len(true)
+    for factor in (0.5, 1.0, 2.0):
+        assert (abs(total / fits / factor - 1) < 0.28) == (factor == 1.0)
+
+
+def test_worse_points_than_stated_widen_the_covariance() -> None:
+    rng, (target, x, half) = np.random.default_rng(4), CASES[0]
+    points = seen(target, np.array(x), half, rng, 3 * SIGMA_M)
+    found = fitted(target, Points(points.origins_m, points.directions, points.length_m, points.sigma_m / 3))
+    assert found.misfit == pytest.approx(3, rel=0.25)
+
+
+def test_too_few_points_hold_no_shape() -> None:
+    rng, (target, x, half) = np.random.default_rng(5), CASES[1]
+    assert fit(target, seen(target, np.array(x), half, rng, SIGMA_M, count=3)) is None
+    assert fit_surface(seen(target, np.array(x), half, rng, SIGMA_M, count=6), BEAM) is None
+
+
+@pytest.mark.parametrize(("target", "x", "half"), [CASES[0], CASES[2]], ids=named)
+def test_an_unknown_surface_has_its_range_and_where_the_beam_hits(target: Target, x: list[float], half: float) -> None:
+    """A ball and a wall, told nothing of what they are."""
+    rng, true = np.random.default_rng(6), np.array(x)
+    origin, direction = (v[None] for v in BEAM)
+    beam_m = target.beam_length(true, origin, direction)[0][0]
+    for _ in range(8):
+        found = fit_surface(spoilt(seen(target, true, half, rng, SIGMA_M, count=200), rng, 0.8, 1.25, 0.1), BEAM)
+        assert found is not None
+        gradient = Surface().range(found.x)[1]
+        error, sigma = Surface().range(found.x)[0] - target.range(true)[0], np.sqrt(gradient @ found.cov @ gradient)
+        assert abs(error) < 0.012
+        assert abs(error) < 4 * sigma
+        length, gradients = Surface().beam_length(found.x, origin, direction)
+        assert length[0] == pytest.approx(beam_m, abs=4 * np.sqrt(gradients[0] @ found.cov @ gradients[0]))
