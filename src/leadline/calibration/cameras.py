@@ -31,7 +31,6 @@ from leadline.calibration.views import (
 from leadline.geometry import Camera, LayeredPort, Pose
 from leadline.rig import Rig, Side
 from leadline.rig_covariance import RigCovariance
-from leadline.rig_parameters import get, replaced
 from leadline.water import CHANNEL_NM, Water, WaterState
 
 WIDE_INDEX = Prior(1.338, 0.004)
@@ -39,7 +38,6 @@ STATED_INDEX_SIGMA = 0.001
 GUESSED_LAYER = {LAYER_NAMES[0]: Prior(0.002, 0.001), LAYER_NAMES[1]: Prior(1.52, 0.03)}
 _DISTORTION_SIGMA = (1.0, 1.0, 0.03, 0.03, 0.5)
 _START_DISTANCE_M = 0.02
-_SHOWN = 2.0  # standard deviations
 _AIR = (Medium.AIR, Medium.AIR_BEHIND_PORT)
 
 
@@ -105,25 +103,11 @@ def calibrate_cameras(
     start = _with_port(start, views, settings)
     names, priors = _names(views, mono, settings), _priors(start, views, mono, settings)
     found = without_outliers(views, board, lambda kept: Problem(kept, names, priors), start, poses)
-    problem, fit = _without_idle_terms(found.problem, found.fit)
-    rig = _finished(fit, settings)
+    rig = _finished(found.fit, settings)
     gone = tuple(found.left_out)
     return CameraCalibration(
-        rig, fit, board, problem, tuple(found.views), mono, gone, found.corners_left_out, settings, air_fit
+        rig, found.fit, board, found.problem, tuple(found.views), mono, gone, found.corners_left_out, settings, air_fit
     )
-
-
-def _without_idle_terms(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
-    """A lens that shows no k3 gets none: a term that is noise inside the boards is millimetres in the corners."""
-    values = dict(zip(fit.names, get(fit.rig, fit.names), strict=True))
-    idle = tuple(
-        name for name in fit.names if name.endswith("distortion[4]") and abs(values[name]) < _SHOWN * fit.sigma(name)
-    )
-    if not idle:
-        return problem, fit
-    names = tuple(name for name in fit.names if name not in idle)
-    fewer = Problem(problem.sights, names, {k: v for k, v in problem.priors.items() if k not in idle})
-    return fewer, fewer.solve(replaced(fit.rig, idle, [0.0] * len(idle)), fit.poses)
 
 
 def _start(views: Sequence[BoardView], board: Board, size: tuple[int, int], mono: bool) -> tuple[Rig, list[Pose]]:

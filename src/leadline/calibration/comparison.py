@@ -25,7 +25,7 @@ from leadline.samples import Array
 
 DISTANCES_M = (0.2, 0.5, 1.0, 1.5, 2.2)
 PLACES = ("centre", "half field", "corner")
-_MARGIN = 0.04  # of the image, from its corner
+_MARGIN = 0.1  # of the image's width and height, in from its corner
 
 
 @dataclass(frozen=True, slots=True, eq=False)
