@@ -8,9 +8,11 @@ from collections.abc import Iterator, Sequence
 import cv2
 import numpy as np
 
+from leadline.calibration.laser import LASER
 from leadline.calibration.spots import Station
 from leadline.recognition.spot import Spot
 from leadline.rig import Rig
+from leadline.rig_parameters import get, replaced
 from leadline.samples import NS_PER_S, Array, Image, LaserRange, Sample, StereoFrame
 
 AIR_Z_M = (0.5, 0.8, 1.1, 1.4, 1.7, 2.0, 2.5)
@@ -48,6 +50,27 @@ def stations(
         seen = [Spot(q[i] + sigma_px * rng.normal(size=2), sigma_px**2 * np.eye(2), 30.0) for q in (left, right)]
         out.append(Station(f"{i}.png", seen[0], seen[1], float(raw.mean()), readings, float(raw.std(ddof=1))))
     return out
+
+
+def lit_points_nees(found: Rig, truth: Rig) -> float:
+    """Squared error of the points lit at three readings over their covariance, for each of its dimensions.
+
+    Six of nine are free (line 4, scale, offset): what one medium shows of a laser.
+    """
+    names = LASER if truth.water is None else (*LASER, "water.group_index")
+
+    def points(rig: Rig, values: Array) -> Array:
+        beam = replaced(rig, names, values).laser
+        assert beam is not None
+        return np.concatenate([beam.point_m(raw) for raw in (0.7, 1.7, 2.7)])
+
+    here = get(found, names)
+    steps = np.eye(len(names)) * 1e-6
+    jacobian = np.stack([(points(found, here + e) - points(found, here - e)) / 2e-6 for e in steps], axis=1)
+    variances, axes = np.linalg.eigh(jacobian @ found.covariance.of(names) @ jacobian.T)
+    free = variances > 1e-5 * variances[-1]
+    error = axes[:, free].T @ (points(found, here) - points(truth, get(truth, names)))
+    return float(np.mean(error**2 / variances[free]))
 
 
 def painted_dive(rig: Rig, z_m: Sequence[float], seed: int = 0) -> Iterator[Sample]:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from laser_scenes import AIR_Z_M, air_rig, painted_dive, stations, truth_rig
+from laser_scenes import AIR_Z_M, air_rig, lit_points_nees, painted_dive, stations, truth_rig
 from leadline.calibration import laser as laser_module
 from leadline.calibration.beam_fit import fit_beam
 from leadline.calibration.laser import LASER, calibrate_laser, laser_prior
@@ -30,29 +30,8 @@ def fit(rig: Rig, rng: np.random.Generator, cameras: RigCovariance = RigCovarian
     return fit_beam(start, seen, LASER, laser_prior(start, cameras))
 
 
-def along_free(values: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What one medium shows: the lit points of three readings (9,) and their covariance, from those of LASER."""
-    names, rig = LASER, air_rig()
-
-    def points(x: np.ndarray) -> np.ndarray:
-        beam = replaced(rig, names, x).laser
-        assert beam is not None
-        return np.concatenate([beam.point_m(raw) for raw in (0.6, 1.5, 2.4)])
-
-    steps = np.eye(len(names)) * 1e-6
-    jacobian = np.stack([(points(values + e) - points(values - e)) / 2e-6 for e in steps], axis=1)
-    return points(values), jacobian @ cov @ jacobian.T
-
-
 def nees(rig: Rig, rng: np.random.Generator, cameras: RigCovariance = RigCovariance()) -> float:  # noqa: B008
-    """Squared error of the lit points over their covariance, in its six dimensions (line 4, scale, offset)."""
-    result = fit(rig, rng, cameras)
-    found, cov = along_free(get(result.rig, LASER), result.rig.covariance.of(LASER))
-    truth, _ = along_free(get(air_rig(), LASER), np.zeros((len(LASER),) * 2))
-    values, vectors = np.linalg.eigh(cov)
-    keep = values > 1e-6 * values[-1]
-    projected = vectors[:, keep].T @ (found - truth)
-    return float(np.sum(projected**2 / values[keep])) / keep.sum()
+    return lit_points_nees(fit(rig, rng, cameras).rig, air_rig())
 
 
 def test_the_covariance_is_honest() -> None:
@@ -91,6 +70,21 @@ def test_origin_along_the_beam_and_offset_are_one_number() -> None:
     assert np.sqrt(across @ matrix @ across) < 0.004
     here = dataclasses.replace(result.rig, port=None, water=None)
     assert np.sqrt(here.laser_point(1.5)[1][2, 2]) < 0.005  # and where it was measured, it does not matter
+
+
+def test_a_rig_that_was_in_water_can_be_calibrated_in_air() -> None:
+    """What is uncertain of water and port has no part in air, but keeps its place in the rig."""
+    names = ("port.distance_m", "water.index", "water.group_index")
+    rig = dataclasses.replace(truth_rig(), covariance=RigCovariance(names, np.diag([1e-3, 1e-3, 1e-3]) ** 2))
+    for port in ("without", "with"):
+        there = laser_module.rig_in_medium(rig, "air", port)
+        seen = stations(there, AIR_Z_M, np.random.default_rng(6))
+        start = laser_module._first_beam(there, seen, there.laser)
+        home = laser_module._brought_home(laser_module._ml_fit(start, seen, rig.covariance).rig, rig)
+        assert home.covariance.of(names[1:2])[0, 0] == pytest.approx(1e-6)
+        assert home.laser.group_index == rig.laser.group_index  # type: ignore[union-attr]
+        through = home.covariance.of((names[0], "laser.origin_m[0]"))[0, 1]
+        assert (abs(through) > 0) == (port == "with")
 
 
 def test_a_station_off_the_beam_is_left_out_and_named() -> None:
@@ -134,7 +128,7 @@ def test_a_painted_dive_gives_the_laser(method: str) -> None:
 
 
 def test_a_dive_without_readings_or_spots_or_with_one_distance_is_told() -> None:
-    rig = truth_rig()
+    rig = truth_rig().scaled(0.5)
     dive = list(painted_dive(air_rig(rig), AIR_Z_M[:4]))
     with pytest.raises(InputError, match="no laser reading"):
         calibrate_laser([s for s in dive if not isinstance(s, LaserRange)], rig)
@@ -153,7 +147,7 @@ def test_a_dive_without_readings_or_spots_or_with_one_distance_is_told() -> None
 
 
 def test_the_wrong_medium_is_told() -> None:
-    rig = truth_rig()
+    rig = truth_rig().scaled(0.5)
     with pytest.raises(InputError, match=r"a metre where 1\.00 is expected in air"):
         calibrate_laser(painted_dive(rig, AIR_Z_M), rig)
     with pytest.raises(InputError, match="has no port"):

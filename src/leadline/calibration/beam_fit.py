@@ -220,16 +220,22 @@ class _Problem:
         """-d(whitened residuals)/d(parameters) (5N, k), central differences: measurements as functions of them."""
         columns = []
         for name in names:
-            try:
-                value = float(get(rig, [name])[0])
-            except ValueError:  # a port's, for a rig without its housing: it has no part in this
+            if not _takes_part(rig, name):
                 columns.append(np.zeros(5 * len(lengths_m)))
                 continue
+            value = float(get(rig, [name])[0])
             step = 1e-2 if name.endswith("_px") else 1e-5 if "distortion" in name else 1e-6
             high = self._white(replaced(rig, [name], [value + step]), lengths_m)
             low = self._white(replaced(rig, [name], [value - step]), lengths_m)
             columns.append((low - high).ravel() / (2 * step))
         return np.stack(columns, axis=1) if columns else np.zeros((5 * len(lengths_m), 0))
+
+
+def _takes_part(rig: Rig, name: str) -> bool:
+    """Not the water in air, nor the port of a rig that stood there without its housing."""
+    if rig.water is None and name.startswith("water."):
+        return False
+    return rig.port is not None or not name.startswith("port.")
 
 
 def _residuals(rig: Rig, measured_px: Array, raw_m: Array, lengths_m: Array) -> tuple[Array, Array]:
