@@ -169,8 +169,14 @@ def board(
     out: Annotated[Path, typer.Option(help="PDF to write.")] = Path("board.pdf"),
     size: Annotated[str, typer.Option(help="Inner corners, COLUMNSxROWS.")] = "11x8",
     square: SquareOption = 0.030,
+    charuco: Annotated[str | None, typer.Option(help="ArUco dictionary for a ChArUco board, such as 5X5_100.")] = None,
+    marker: Annotated[float | None, typer.Option(help="Side of a ChArUco marker, metres.")] = None,
 ) -> None:
     """A calibration board as a PDF that measures right on paper (print at 100 %)."""
+    from leadline.wire.board_pdf import write_board  # noqa: PLC0415
+
+    width, height = write_board(out, _board(size, square, charuco, marker))
+    typer.echo(f"{out}: {width * 1e3:.1f} x {height * 1e3:.1f} mm; print at 100 %")
 
 
 def _board(size: str, square_m: float, charuco: str | None = None, marker_m: float | None = None) -> Board:
