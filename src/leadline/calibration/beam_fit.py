@@ -146,12 +146,25 @@ class _Problem:
 
     def noise(self, x: Array, lengths_m: Array) -> Noise:
         """What the residuals say the noise is, beside what was stated (which counts as _STATED observations)."""
-        rows = self._white(self.rig(x), lengths_m)
-        pixels, ranges = float(np.sum(rows[:, :4] ** 2)), float(np.sum(rows[:, 4] ** 2))
-        # A length and, all told, a line take from the pixels what they explain; a scale and an offset from the ranges.
-        seen, read = max(3 * len(rows) - 4, 0), max(len(rows) - 2, 0)
-        pixel = self._noise.pixel * np.sqrt((pixels + _STATED) / (seen + _STATED))
-        return Noise(float(pixel), float(self._noise.range * max(1.0, np.sqrt((ranges + _STATED) / (read + _STATED)))))
+        rows = self._white(self.rig(x), lengths_m) ** 2
+        freedom = 1 - self._leverages(self.rig(x), lengths_m)
+        pixel, reading = (
+            np.sqrt((np.sum(rows[:, part]) + _STATED) / (np.sum(freedom[:, part]) + _STATED))
+            for part in (slice(0, 4), slice(4, 5))
+        )
+        return Noise(float(self._noise.pixel * pixel), float(self._noise.range * max(1.0, reading)))
+
+    def _leverages(self, rig: Rig, lengths_m: Array) -> Array:
+        """The share of each residual (N, 5) that the parameters and lengths take up (the hat matrix's diagonal)."""
+        n, k = len(lengths_m), self._count
+        slopes = self._length_slopes(rig, lengths_m)
+        design = np.zeros((slopes.size, k + n))
+        design[:, :k] = self._gradient(rig, self._free, lengths_m) @ self._basis
+        for i, slope in enumerate(slopes):
+            design[i * 5 : (i + 1) * 5, k + i] = slope
+        information = design.T @ design
+        information[:k, :k] += _inverse(self._prior_x)
+        return np.asarray(np.sum(design * _solve(information, design.T).T, axis=1).reshape(n, 5))
 
     def result(self, x: Array, lengths_m: Array) -> Rig:
         """The rig at the solution, with the joint covariance of everything that was uncertain."""
@@ -207,14 +220,18 @@ class _Problem:
 
     def _without_lengths(self, rig: Rig, lengths_m: Array) -> Array:
         """(4N, 5N): what of the residuals no choice of the lengths can explain."""
-        step = 1e-5
-        slopes = (self._white(rig, lengths_m + step) - self._white(rig, lengths_m - step)) / (2 * step)
+        slopes = self._length_slopes(rig, lengths_m)
         n, width = slopes.shape
         out = np.zeros((n * (width - 1), n * width))
         for i, slope in enumerate(slopes):
             null = np.linalg.svd(slope[None])[2][1:]
             out[i * (width - 1) : (i + 1) * (width - 1), i * width : (i + 1) * width] = null
         return out
+
+    def _length_slopes(self, rig: Rig, lengths_m: Array) -> Array:
+        """d(whitened measurements)/d(own length) (N, 5)."""
+        step = 1e-5
+        return np.asarray((self._white(rig, lengths_m - step) - self._white(rig, lengths_m + step)) / (2 * step))
 
     def _gradient(self, rig: Rig, names: tuple[str, ...], lengths_m: Array) -> Array:
         """-d(whitened residuals)/d(parameters) (5N, k), central differences: measurements as functions of them."""

@@ -3,7 +3,7 @@
 raw = scale * n . (p - o) / (n . d) + offset, n and p the board's normal and a point of it. Boards at many angles and
 distances fix the beam's origin o (but for its place along the beam, see ``leadline.calibration.laser``) and its
 direction d. Rangefinders have a true minimum range below which they still answer, wrongly. It is the distance below
-which the fit of the longer readings does not believe the shorter ones; these are named, not averaged in.
+which readings spoil the fit of the longer ones; they are named, not averaged in.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from leadline.samples import Array
 MIN_BOARDS = 8
 OUTLIER_SIGMAS = 4.0
 FOLDS = 5
-_WINDOW = 3  # of the shortest readings, all of which must be believed
+NEARLY = 1.2  # as good as the best choice of a minimum
 _LOOSE = (1.0, 1.0)  # origin across, m; direction, rad: nothing known
 
 Mask = NDArray[np.bool_]
@@ -137,22 +137,30 @@ def _fit(planes: Array, raw_m: Array, *, robust: bool = False) -> Array:
 
 
 def _sound(planes: Array, raw_m: Array) -> tuple[float | None, Mask]:
-    """The true minimum, and the readings to fit: all from the shortest on that the fit of all longer ones believes."""
-    shortest_first = np.sort(raw_m)
-    believed = np.ones(len(raw_m), bool)
-    for minimum in np.unique(shortest_first[: len(raw_m) // 2]):
-        from_here = raw_m >= minimum
-        off = _sigmas_off(_fit(planes[from_here], raw_m[from_here], robust=True), planes, raw_m, from_here)
-        believed = from_here & (off <= OUTLIER_SIGMAS)
-        if (off[np.argsort(np.where(from_here, raw_m, np.inf))[:_WINDOW]] <= OUTLIER_SIGMAS).all():
-            return (float(minimum) if np.sum(~from_here) >= 2 else None), believed
-    off = _sigmas_off(_fit(planes, raw_m, robust=True), planes, raw_m, believed)
-    return None, off <= OUTLIER_SIGMAS
+    """The true minimum, and the readings to fit.
+
+    All readings from a shortest one on are fitted, for every choice of it up to the middle. The residual settles once
+    the wrong readings are out: the shortest choice that is nearly as good as the best is the minimum.
+    """
+    choices = np.unique(np.sort(raw_m)[: len(raw_m) // 2])
+    fits = [_fit(planes[raw_m >= c], raw_m[raw_m >= c], robust=True) for c in choices]
+    far = np.abs(raw_m - _predicted(fits[-1], planes))[raw_m >= choices[-1]]
+    bound = OUTLIER_SIGMAS * max(1.4826 * float(np.median(far)), 0.002)
+    spreads = [_spread(x, planes[raw_m >= c], raw_m[raw_m >= c], bound) for x, c in zip(fits, choices, strict=True)]
+    place = next(i for i, spread in enumerate(spreads) if spread <= NEARLY * min(spreads))
+    kept = raw_m >= choices[place]
+    residual = np.abs(raw_m - _predicted(fits[place], planes))
+    sigma = max(1.4826 * float(np.median(residual[kept])), 0.002)
+    if np.sum(~kept) < 2 or np.median(residual[~kept]) < 2 * sigma:
+        return None, residual <= OUTLIER_SIGMAS * sigma
+    good = kept & (residual <= OUTLIER_SIGMAS * sigma)
+    return float(raw_m[good].min()), good
 
 
-def _sigmas_off(x: Array, planes: Array, raw_m: Array, fitted: Mask) -> Array:
-    residual = raw_m - _predicted(x, planes)
-    return np.asarray(np.abs(residual) / max(1.4826 * float(np.median(np.abs(residual[fitted]))), 0.002))
+def _spread(x: Array, planes: Array, raw_m: Array, bound_m: float) -> float:
+    """Standard deviation about the fit; one blunder counts no more than the bound."""
+    bounded = np.minimum(np.abs(raw_m - _predicted(x, planes)), bound_m)
+    return float(np.sqrt(np.sum(bounded**2) / max(len(raw_m) - 6, 1)))
 
 
 def _beam(x: Array, planes: Array, sigma_m: float) -> tuple[Beam, RigCovariance]:
