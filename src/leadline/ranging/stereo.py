@@ -22,6 +22,7 @@ from leadline.samples import Array, Image, Kind, Measurement, Rejected
 from leadline.target import Sphere, Surface, Target
 
 SURFACE_INNER = 0.9
+MAX_MISFIT = 30.0  # patches this far off their sigmas hold another shape: a pile and the sand behind it
 BOX_SIGMA = 0.2  # how well a box tells a ball's size
 LengthAt = Callable[[Array], Array]  # left pixels (N, 2), full size -> predicted length along their rays (N,)
 
@@ -98,7 +99,9 @@ class StereoRanger:
             if len(points.length_m) < self._settings.min_agreed:
                 return "too little texture"
             found, reach_px = self._shape(target, points, None if isinstance(target, Surface) else found.x), 1.5
-        if found is None or found.agreed.sum() < max(self._settings.min_agreed, 0.4 * len(found.agreed)):
+        if found is None or found.misfit > MAX_MISFIT:
+            return "patches disagree"
+        if found.agreed.sum() < max(self._settings.min_agreed, 0.4 * len(found.agreed)):
             return "patches disagree"
         return found
 
