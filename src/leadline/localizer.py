@@ -142,12 +142,12 @@ class Localizer:
     ) -> tuple[list[Measurement], list[Rejected]]:
         """All that one frame says, each from the best idea of the target so far."""
         pair = Pair.of(frame.left, frame.right)
-        results = [self._match(frame.t_ns, pair, box, before)]
-        x = results[0].z if isinstance(results[0], Measurement) else self._idea(box, before)
-        if self._outline is not None:
-            results.append(self._outline.measure(frame.t_ns, pair, x))
-            if isinstance(results[-1], Measurement) and isinstance(results[0], Rejected):
-                x = results[-1].z
+        guess = None if before is None else Prior(before.x, self._range_sigma(before.x, before.cov))
+        if guess is not None and guess.range_sigma_m > POOR * np.linalg.norm(guess.x[:3]):
+            guess = None
+        results = self._see(frame.t_ns, pair, box, guess)
+        seen = [r for r in results if isinstance(r, Measurement)]
+        x = seen[0].z if seen else guess.x if guess is not None else self._idea(box)
         results += self._measure_beam(frame, x)
         taken = [self._with_calibration(r) for r in results if isinstance(r, Measurement)]
         return taken, [r for r in results if isinstance(r, Rejected)]
@@ -160,15 +160,29 @@ class Localizer:
         cov[:3, :3] += self._calibration.at(measurement.z[:3])
         return replace(measurement, cov=cov)
 
-    def _match(self, t_ns: int, pair: Pair, box: Box, before: Estimate | None) -> Measurement | Rejected:
-        """Stereo from the prediction; from nothing where there is none, or none that anything is found with."""
-        if before is not None:
-            sigma = self._range_sigma(before)
-            if sigma < POOR * np.linalg.norm(before.x[:3]):
-                result = self._stereo.measure(t_ns, pair, box, Prior(before.x, sigma))
-                if isinstance(result, Measurement):
-                    return result
-        return self._stereo.measure(t_ns, pair, box, None)
+    def _see(self, t_ns: int, pair: Pair, box: Box, guess: Prior | None) -> list[Measurement | Rejected]:
+        """Outline, then stereo where that says; each helps the other where it fails. The first to hold leads."""
+        size = self._trace(t_ns, pair, box, guess)
+        if isinstance(size, Measurement) and guess is None:
+            guess = Prior(size.z, self._range_sigma(size.z, size.cov))
+        stereo = self._stereo.measure(t_ns, pair, box, guess)
+        if isinstance(stereo, Rejected) and not isinstance(size, Measurement) and guess is not None:
+            stereo = self._stereo.measure(t_ns, pair, box, None)
+        if self._outline is not None and isinstance(stereo, Measurement) and not isinstance(size, Measurement):
+            size = self._outline.measure(t_ns, pair, stereo.z)
+        return [stereo] if size is None else [size, stereo]
+
+    def _trace(self, t_ns: int, pair: Pair, box: Box, guess: Prior | None) -> Measurement | Rejected | None:
+        """The ball's outline from the prediction, else from its box; None for what has none or before it has a size."""
+        if self._outline is None:
+            return None
+        if guess is not None:
+            size = self._outline.measure(t_ns, pair, guess.x)
+            if isinstance(size, Measurement):
+                return size
+        if len(self._target.shape_mean):
+            return None
+        return self._outline.measure(t_ns, pair, self._idea(box))
 
     def _measure_beam(self, frame: StereoFrame, x: Array) -> list[Measurement | Rejected]:
         """The spot, where the target as known so far would show it; with every frame alone, the reading near it too."""
@@ -200,10 +214,8 @@ class Localizer:
             return []
         return [self._beam.reading(near, self._config.filter.initial_speed_m_s * age_s)]
 
-    def _idea(self, box: Box, before: Estimate | None) -> Array:
-        """Where the target is thought to be without stereo: the prediction, else along the middle of its box."""
-        if before is not None:
-            return before.x
+    def _idea(self, box: Box) -> Array:
+        """Where the target may be by its box alone: along its middle."""
         x, y, width, height = box
         middle = np.array([[x + width / 2, y + height / 2]])
         origins, directions = self._rig.rays(middle, "left")
@@ -230,9 +242,9 @@ class Localizer:
         self._filter.start(t_ns, x, wide, self._target.shape_walk)
         return True
 
-    def _range_sigma(self, estimate: Estimate) -> float:
-        _, gradient = self._target.range(estimate.x)
-        return float(np.sqrt(gradient @ estimate.cov @ gradient))
+    def _range_sigma(self, x: Array, cov: Array) -> float:
+        _, gradient = self._target.range(x)
+        return float(np.sqrt(gradient @ cov @ gradient))
 
     def _solution(self, t_ns: int, used: Sequence[Kind], rejected: Sequence[Rejected]) -> Solution:
         for kind in used:

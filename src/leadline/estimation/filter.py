@@ -90,11 +90,10 @@ class Filter:
         for later_t_ns, later_measurements in later:
             self._apply(later_t_ns, later_measurements)
         self._forget()
-        if self._recover(measurements, {r.kind for r in rejected}):
-            return [self._turned_away_kind], [r for r in rejected if r.kind != self._turned_away_kind]
+        restarted = self._recover(measurements, used)
+        if restarted is not None:
+            return [restarted.kind], [r for r in rejected if r.kind is not restarted.kind]
         return used, rejected
-
-    _turned_away_kind = Kind.STEREO  # the only measurement that fixes the whole position by itself
 
     def at(self, t_ns: int) -> Estimate:
         """The state at a time: from all that was measured until then (and not after)."""
@@ -136,21 +135,22 @@ class Filter:
         keep_from = bisect_right(self._history, oldest, key=lambda entry: entry.after.t_ns)
         del self._history[: max(keep_from - 1, 0)]
 
-    def _recover(self, measurements: Sequence[Measurement], rejected: set[Kind]) -> bool:
-        """Start again from a run of turned-away positions that agree among themselves."""
-        for measurement in measurements:
-            if measurement.kind is not self._turned_away_kind:
-                continue
-            if measurement.kind not in rejected:
-                self._turned_away.clear()
-                continue
-            if self._turned_away and not self._agree(self._turned_away[-1], measurement):
-                self._turned_away.clear()
-            self._turned_away.append(measurement)
-            if len(self._turned_away) >= self._settings.recover_after:
-                self.start(measurement.t_ns, measurement.z, measurement.cov)
-                return True
-        return False
+    def _recover(self, measurements: Sequence[Measurement], used: Sequence[Kind]) -> Measurement | None:
+        """Start again from a run of turned-away positions that agree among themselves, when no position was taken."""
+        whole = [m for m in measurements if len(m.z) >= 3]  # those that fix the position by themselves
+        if not whole:
+            return None
+        if any(m.kind in used for m in whole):
+            self._turned_away.clear()
+            return None
+        newest = whole[0]
+        if self._turned_away and not self._agree(self._turned_away[-1], newest):
+            self._turned_away.clear()
+        self._turned_away.append(newest)
+        if len(self._turned_away) < self._settings.recover_after:
+            return None
+        self.start(newest.t_ns, newest.z, newest.cov)
+        return newest
 
     def _agree(self, before: Measurement, after: Measurement) -> bool:
         dt = (after.t_ns - before.t_ns) / NS_PER_S

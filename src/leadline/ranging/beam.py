@@ -15,6 +15,7 @@ from leadline.samples import Array, Kind, LaserRange, Measurement, Rejected
 from leadline.target import Target
 
 CURVE_STEP_PX = 0.5
+MAX_SLOPE = 3.0  # a beam that grazes the surface says more about the limb than about the distance
 TYPICAL_M = 1.0  # where the calibration's error along the beam is taken: offset and scale hardly differ over the range
 
 
@@ -38,7 +39,7 @@ class BeamRanger:
 
         def predict(x: Array) -> tuple[Array, Array] | None:
             length, gradient = self._target.beam_length(x, origin, direction)
-            if not np.isfinite(length[0]):
+            if not np.isfinite(length[0]) or np.linalg.norm(gradient[0, :3]) > MAX_SLOPE:
                 return None
             return np.array([raw(float(length[0]))]), gain * gradient
 
