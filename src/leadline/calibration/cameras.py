@@ -17,7 +17,7 @@ from leadline.calibration.checks import check_focal_lengths, check_sides, check_
 from leadline.calibration.derivatives import Medium
 from leadline.calibration.outliers import LeftOut, without_outliers
 from leadline.calibration.problem import Fit, Prior, Problem
-from leadline.calibration.start import between, board_pose, camera_from
+from leadline.calibration.start import between, board_pose, camera_from, view_pose
 from leadline.calibration.views import (
     LAYER_NAMES,
     PORT_NAMES,
@@ -98,9 +98,11 @@ def calibrate_cameras(
         air_problem = Problem(sights_of(air, board), _names(air, mono, settings), _priors(start, air, mono, settings))
         air_fit = air_problem.solve(start, [poses[i] for i in dry])
         start = air_fit.rig
-        views, poses = _started_in_water(views, board, start, poses, dict(zip(dry, air_fit.poses, strict=True)))
     check_focal_lengths(start, views, board)
     start = _with_port(start, views, settings)
+    if air_fit is not None:  # the lenses are known now
+        solved = dict(zip(dry, air_fit.poses, strict=True))
+        poses = [solved.get(i) or view_pose(start, v, board) or poses[i] for i, v in enumerate(views)]
     names, priors = _names(views, mono, settings), _priors(start, views, mono, settings)
     found = without_outliers(views, board, lambda kept: Problem(kept, names, priors), start, poses)
     rig = _finished(found.fit, settings)
@@ -134,20 +136,6 @@ def _start(views: Sequence[BoardView], board: Board, size: tuple[int, int], mono
 
 def _in_air(lens: Camera) -> Camera:
     return dataclasses.replace(lens, fx=lens.fx / WIDE_INDEX.mean, fy=lens.fy / WIDE_INDEX.mean)
-
-
-def _started_in_water(
-    views: Sequence[BoardView], board: Board, rig: Rig, poses: Sequence[Pose], solved: dict[int, Pose]
-) -> tuple[list[BoardView], list[Pose]]:
-    """Poses again with the lenses from air: a pinhole in water sees as if f were 1.34 times longer."""
-    out = []
-    for i, view in enumerate(views):
-        longer = {s: dataclasses.replace(c, fx=c.fx * 1.338, fy=c.fy * 1.338) for s, c in _lenses(rig).items()}
-        lenses = longer if view.medium is Medium.WATER else _lenses(rig)
-        left, right = (_pose(lenses[side], view.corners(side), board) for side in SIDES)
-        pose = left or (rig.T_left_right @ right if right else poses[i])
-        out.append(solved.get(i, pose))
-    return list(views), out
 
 
 def _lenses(rig: Rig) -> dict[Side, Camera]:

@@ -7,7 +7,6 @@ and none together.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -19,11 +18,11 @@ from leadline.calibration.derivatives import Medium
 from leadline.calibration.lengths import BoardLength, Halves, board_lengths, halves, mean_scale
 from leadline.calibration.outliers import Found, without_outliers
 from leadline.calibration.problem import Problem, Sight
-from leadline.calibration.start import board_pose
+from leadline.calibration.start import view_pose
 from leadline.calibration.verdict import Verdict, covered
 from leadline.calibration.views import BoardView, numbered_alike
 from leadline.errors import InputError
-from leadline.geometry import Camera, Pose
+from leadline.geometry import Pose
 from leadline.rig import Rig
 from leadline.rig_parameters import get
 
@@ -58,7 +57,7 @@ def check_rig(rig: Rig, views: Sequence[BoardView], board: Board, size: tuple[in
     usable = [BoardView(v.name, medium, v.left, v.right) for v in numbered_alike(views, board) if v.left and v.right]
     if not usable:
         raise InputError("no pair shows the board in both images", "--dive", "check --board; a check needs pairs")
-    poses = [_started(rig, view, board) for view in usable]
+    poses = [view_pose(rig, view, board) or Pose(np.eye(3), [0.0, 0.0, 1.0]) for view in usable]
     found = without_outliers(usable, board, lambda sights: Problem(sights, ()), rig, poses)
     lengths = board_lengths(rig, found.views, board, found.fit.sigma_px)
     if not lengths:
@@ -82,13 +81,6 @@ def by_distance(lengths: Sequence[BoardLength], board: Board) -> list[tuple[floa
         )
         for group in groups
     ]
-
-
-def _started(rig: Rig, view: BoardView, board: Board) -> Pose:
-    index = 1.0 if rig.port is None else rig.port.outside_index
-    lens: Camera = dataclasses.replace(rig.left, fx=rig.left.fx * index, fy=rig.left.fy * index)
-    pose = None if view.left is None else board_pose(lens, view.left, board)
-    return pose or Pose(np.eye(3), [0.0, 0.0, 1.0])
 
 
 def _focal_halves(rig: Rig, found: Found) -> Halves | None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from leadline.calibration.board import Board, Corners
 from leadline.calibration.problem import Fit, Problem, Sight
+from leadline.calibration.start import view_pose
 from leadline.calibration.views import SIDES, BoardView, sights_of
 from leadline.geometry import Pose
 from leadline.rig import Rig, Side
@@ -54,6 +55,7 @@ def without_outliers(
     kept, gone, corners_gone = list(views), list[LeftOut](), 0
     problem = problem_of(sights_of(kept, board))
     fit = problem.solve(start, poses)
+    fit = _second_chance(problem, fit, kept, board)
     for _ in range(_ROUNDS):
         bad = _bad_sets(problem, fit, kept)
         trimmed, count = _trimmed(problem, fit, kept, {(o.name, o.side) for o in bad})
@@ -66,6 +68,24 @@ def without_outliers(
         problem = problem_of(sights_of(kept, board))
         fit = problem.solve(fit.rig, [fit.poses[i] for i in present])
     return Found(fit, problem, kept, gone, corners_gone)
+
+
+def _second_chance(problem: Problem, fit: Fit, views: Sequence[BoardView], board: Board) -> Fit:
+    """A plane has two poses that look nearly alike. Boards that do not fit start again, the lenses known."""
+    strange = {sight.view for sight in _strange(problem, fit)}
+    if not strange:
+        return fit
+    poses = [
+        (view_pose(fit.rig, view, board) if i in strange else None) or pose
+        for i, (view, pose) in enumerate(zip(views, fit.poses, strict=True))
+    ]
+    again = problem.solve(fit.rig, poses)
+    return again if again.cost * again.sigma_px**2 < fit.cost * fit.sigma_px**2 else fit
+
+
+def _strange(problem: Problem, fit: Fit) -> list[Sight]:
+    medians = np.array([np.median(np.linalg.norm(r, axis=1)) for r in fit.residuals])
+    return [s for s, median in zip(problem.sights, medians, strict=True) if median > SET_FACTOR * np.median(medians)]
 
 
 def _bad_sets(problem: Problem, fit: Fit, views: Sequence[BoardView]) -> list[LeftOut]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,7 +10,10 @@ import cv2
 import numpy as np
 
 from leadline.calibration.board import Board, Corners
+from leadline.calibration.derivatives import SIDES, Medium
+from leadline.calibration.views import BoardView
 from leadline.geometry import Camera, Pose
+from leadline.rig import Rig
 from leadline.samples import Array
 
 
@@ -56,6 +60,20 @@ def board_pose(camera: Camera, corners: Corners, board: Board) -> Pose | None:
     if not found or not np.isfinite(t).all() or t[2] <= 0:
         return None
     return Pose(cv2.Rodrigues(turn)[0], t.ravel())
+
+
+def view_pose(rig: Rig, view: BoardView, board: Board) -> Pose | None:
+    """T_left_board from one camera's corners: in water a pinhole sees as if f were longer by the index."""
+    for side in SIDES:
+        corners = view.corners(side)
+        lens = rig.left if side == "left" else rig.right
+        if view.medium is Medium.WATER and rig.port is not None:
+            index = rig.port.outside_index
+            lens = dataclasses.replace(lens, fx=lens.fx * index, fy=lens.fy * index)
+        pose = None if corners is None else board_pose(lens, corners, board)
+        if pose is not None:
+            return pose if side == "left" else rig.T_left_right @ pose
+    return None
 
 
 def between(left: Sequence[Pose], right: Sequence[Pose]) -> Pose:
