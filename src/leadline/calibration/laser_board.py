@@ -107,11 +107,16 @@ def _planes(readings: Sequence[BoardReading], board: Board, camera: Camera) -> t
     """The readings whose board has a place, and normal and a point of each board's plane (N, 6), camera frame."""
     poses = [board_pose(camera, r.corners, board) for r in readings]
     kept = [(r, pose) for r, pose in zip(readings, poses, strict=True) if pose is not None]
-    if len(kept) < MIN_BOARDS:
-        what = f"the board is seen in {len(kept)} images, {MIN_BOARDS} are needed"
-        raise InputError(what, "", "check --board (inner corners), or take more images at many angles")
+    require_boards(len(kept), len(readings))
     planes = [np.concatenate([pose.R[:, 2], pose.apply(board.points_m).mean(axis=0)]) for _, pose in kept]
     return [r for r, _ in kept], np.array(planes)
+
+
+def require_boards(found: int, images: int) -> None:
+    """InputError where too few boards were found."""
+    if found < MIN_BOARDS:
+        what = f"the board is seen in {found} of {images} images, {MIN_BOARDS} are needed"
+        raise InputError(what, "", "check --board (inner corners), or take more images at many angles")
 
 
 def _direction(x: Array) -> Array:

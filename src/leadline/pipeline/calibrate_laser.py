@@ -16,7 +16,13 @@ from leadline.calibration.board import Board, find_corners
 from leadline.calibration.cameras import calibrate_cameras
 from leadline.calibration.derivatives import Medium
 from leadline.calibration.laser import LASER, calibrate_laser
-from leadline.calibration.laser_board import BoardBeamFit, BoardReading, calibrate_laser_board, with_laser
+from leadline.calibration.laser_board import (
+    BoardBeamFit,
+    BoardReading,
+    calibrate_laser_board,
+    require_boards,
+    with_laser,
+)
 from leadline.calibration.range import GROUP, RangeFit, calibrate_range
 from leadline.calibration.refine import DISTANCES_M, PortGuess, Refinement, depth_sigmas, refine
 from leadline.calibration.views import BoardView
@@ -29,6 +35,7 @@ from leadline.samples import Sample, StereoFrame
 from leadline.sources import Source, open_source
 from leadline.water import WaterState
 from leadline.wire.calibration_folder import read_image
+from leadline.wire.camera_file import is_camera_file, read_camera, write_camera
 from leadline.wire.range_folder import is_range_folder, read_range_folder
 
 Tick = Callable[[int, int | None], object]
@@ -60,14 +67,8 @@ def laser(
     if is_range_folder(Path(dive)):
         report = _from_boards(Path(dive), rig_file, board, tick)
     else:
-        if rig_file is None:
-            raise InputError("--rig is missing", dive, "give the rig of the cameras that saw the spot")
-        rig = Rig.load(rig_file)
-        source = open_source(dive)
-        with _of(dive):
-            fit = calibrate_laser(_fitting(source, rig, tick), rig, medium=medium, air_port=air_port, method=method)
-        report = _spot_report(fit, source, medium, method)
-    _with_provenance(report.rig, "laser", dive, report.lines).save(out)
+        report = _from_spots(dive, rig_file, medium, air_port, method, tick)
+    _save(_with_provenance(report.rig, "laser", dive, report.lines), out)
     return report
 
 
@@ -147,6 +148,23 @@ def _fitting(source: Source, rig: Rig, tick: Tick) -> Iterator[Sample]:
         yield sample
 
 
+def _save(rig: Rig, out: Path) -> None:
+    if rig.baseline_m > 0:
+        rig.save(out)
+    else:
+        write_camera(out, rig)
+
+
+def _from_spots(dive: str, rig_file: str | None, medium: str, air_port: str, method: str, tick: Tick) -> LaserReport:
+    if rig_file is None:
+        raise InputError("--rig is missing", dive, "give the rig of the cameras that saw the spot")
+    rig = Rig.load(rig_file)
+    source = open_source(dive)
+    with _of(dive):
+        fit = calibrate_laser(_fitting(source, rig, tick), rig, medium=medium, air_port=air_port, method=method)
+    return _spot_report(fit, source, medium, method)
+
+
 def _from_boards(folder: Path, rig_file: str | None, board: Board | None, tick: Tick) -> LaserReport:
     if board is None:
         raise InputError("--board and --square are missing", str(folder), "give the board that the laser was aimed at")
@@ -162,7 +180,8 @@ def _from_boards(folder: Path, rig_file: str | None, board: Board | None, tick: 
             readings.append(BoardReading(item.name, corners, item.raw_m))
         tick(done, len(table.images))
     with _of(str(folder)):
-        rig = _camera_rig(readings, board, size) if rig_file is None else Rig.load(rig_file)
+        require_boards(len(readings), len(table.images))
+        rig = _camera_rig(rig_file, readings, board, size)
         if (rig.left.width, rig.left.height) != size:
             what = f"the images are {size[0]}x{size[1]}, the rig's cameras {rig.left.width}x{rig.left.height}"
             raise InputError(what, "", "give the rig of this camera, or leave --rig out")
@@ -172,9 +191,11 @@ def _from_boards(folder: Path, rig_file: str | None, board: Board | None, tick: 
     return LaserReport(with_laser(rig, fit), lines, (_beam_table(with_laser(rig, fit)),))
 
 
-def _camera_rig(readings: Sequence[BoardReading], board: Board, size: tuple[int, int]) -> Rig:
-    """The camera calibrated from the very same boards."""
-    return calibrate_cameras([BoardView(r.name, Medium.AIR, r.corners) for r in readings], board, size).rig
+def _camera_rig(rig_file: str | None, readings: Sequence[BoardReading], board: Board, size: tuple[int, int]) -> Rig:
+    """From a rig file or one camera's file; without one the camera is calibrated from the very same boards."""
+    if rig_file is None:
+        return calibrate_cameras([BoardView(r.name, Medium.AIR, r.corners) for r in readings], board, size).rig
+    return read_camera(Path(rig_file)) if is_camera_file(Path(rig_file)) else Rig.load(rig_file)
 
 
 def _board_lines(fit: BoardBeamFit) -> list[str]:
