@@ -8,6 +8,7 @@ from html import escape
 from pathlib import Path
 from string import Template
 
+import cv2
 import numpy as np
 
 from leadline.calibration.cameras import CameraCalibration
@@ -33,6 +34,10 @@ _NAMES = {
     "T_right_left.t_m[0]": ("right camera, x", 1e3, "mm"),
     "T_right_left.t_m[1]": ("right camera, y", 1e3, "mm"),
     "T_right_left.t_m[2]": ("right camera, z", 1e3, "mm"),
+    **{
+        f"T_right_left.rotation_rad[{i}]": (f"right camera, turn about {'xyz'[i]}", 180 / np.pi, "deg")
+        for i in range(3)
+    },
     **{
         f"{side}.{key}": (f"{side} {key.removesuffix('_px')}", 1.0, "px")
         for side in SIDES
@@ -179,7 +184,7 @@ def _comparison(calibration: CameraCalibration, models: Sequence[ModelError]) ->
     whole = calibration_sigma_mm(calibration.rig, points)[1].reshape(band.shape)
 
     def row(name: str, depth: np.ndarray, total: np.ndarray, sign: str) -> list[str]:
-        cells = [f"{depth[i, 0]:{sign}.2f} / {total[i, 2]:.2f}" for i in range(len(DISTANCES_M))]
+        cells = [f"{_short(depth[i, 0], sign)} / {_short(total[i, 2])}" for i in range(len(DISTANCES_M))]
         return [name, *cells]
 
     rows = [row("ours (1 sigma)", band, whole, "")]
@@ -187,6 +192,10 @@ def _comparison(calibration: CameraCalibration, models: Sequence[ModelError]) ->
     head = ["mm, depth at the centre / 3D in the corner", *(f"{z:g} m" for z in DISTANCES_M)]
     note = "The refractive rig is taken for the truth: what each simpler model would be wrong by."
     return _section("What simpler models would cost", _table(head, rows), note)
+
+
+def _short(value_mm: float, sign: str = "") -> str:
+    return f"{value_mm:{sign}.{2 if abs(value_mm) < 20 else 0}f}"
 
 
 def _limits(calibration: CameraCalibration) -> str:
@@ -203,6 +212,8 @@ def _parameters(calibration: CameraCalibration) -> str:
     for name in calibration.fit.names:
         label, factor, unit = _NAMES.get(name, (name, 1.0, ""))
         value, sigma = float(get(calibration.rig, [name])[0]) * factor, calibration.fit.sigma(name) * factor
+        if "rotation_rad" in name:  # the file's parameter is a small turn, 0 by definition
+            value = float(np.degrees(cv2.Rodrigues(calibration.rig.T_right_left.R)[0].ravel()[int(name[-2])]))
         prior = calibration.priors.get(name)
         known = prior is not None and (name == "water.index" or "layers" in name)
         before = f"{prior.mean * factor:.5g} +-{prior.sigma * factor:.2g}" if prior is not None and known else ""

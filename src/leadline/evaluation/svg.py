@@ -74,7 +74,7 @@ class Curve:
 def log_chart(curves: Sequence[Curve], x_label: str, y_label: str, title: str, size: tuple[int, int]) -> str:
     """Curves on a logarithmic vertical axis: models differ by a factor of a thousand."""
     width, height = size
-    left, right, top, bottom = 52.0, width - 150.0, 12.0, height - 36.0
+    left, right, top, bottom = 52.0, width - 190.0, 26.0, height - 36.0
     values = np.concatenate([c.y[np.isfinite(c.y) & (c.y > 0)] for c in curves])
     low, high = np.floor(np.log10(values.min())), np.ceil(np.log10(values.max()))
     x_high = max(float(c.x.max()) for c in curves)
@@ -100,7 +100,7 @@ def log_chart(curves: Sequence[Curve], x_label: str, y_label: str, title: str, s
         at = max(float(up[-1]) + 4, ends[-1] + 14 if ends else -np.inf)
         ends.append(at)
         parts.append(text(right + 6, at, c.name))
-    parts += [text((left + right) / 2, height - 4, x_label, "middle"), text(4, top, y_label)]
+    parts += [text((left + right) / 2, height - 4, x_label, "middle"), text(4, 12, y_label)]
     return frame(width, height, parts, title)
 
 
