@@ -165,6 +165,28 @@ def _say(report: LaserReport, out: Path) -> None:
     typer.echo(str(out))
 
 
+class RigFormat(StrEnum):
+    LEADLINE = "leadline"
+    OPENCV = "opencv"
+    ROS = "ros"
+
+
+@app.command("convert")
+def convert(
+    source: Annotated[list[Path], typer.Argument(metavar="FILE...", help="A rig file, or another program's: 1 or 2.")],
+    out: Annotated[Path, typer.Option(help="File to write; for ros a folder.")],
+    to: Annotated[RigFormat, typer.Option("--format", help="opencv and ros get the in-water pinhole.")] = (
+        RigFormat.LEADLINE
+    ),
+    size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT, for an OpenCV file without.")] = None,
+) -> None:
+    """Between rig files and calibmar (in), OpenCV's stereo YAML and the ROS camera_info pair (in and out)."""
+    from leadline.pipeline.convert import convert as run_convert  # noqa: PLC0415
+
+    for file in run_convert(source, out, to.value, size):
+        typer.echo(str(file))
+
+
 def board(
     out: Annotated[Path, typer.Option(help="PDF to write.")] = Path("board.pdf"),
     size: Annotated[str, typer.Option(help="Inner corners, COLUMNSxROWS.")] = "11x8",

@@ -218,14 +218,20 @@ class Problem:
 
     def _noise(self, state: _State, sigma: float) -> float:
         """One coordinate's standard deviation: from the corners within Huber's bound, for the parameters spent."""
-        e = np.linalg.norm(np.concatenate(state.residuals), axis=1) / sigma
+        lengths = np.linalg.norm(np.concatenate(state.residuals), axis=1)
+        for _ in range(_ROUNDS):  # the bound moves with the answer
+            sigma = self._noise_within(lengths / sigma, len(state.R)) * sigma
+        return sigma
+
+    def _noise_within(self, e: Array, views: int) -> float:
+        """The next estimate of the noise, relative to the one that the lengths (N,) are given in."""
         inside = e <= HUBER
-        spent = len(self.names) + 6 * len(state.R)
+        spent = len(self.names) + 6 * views
         freedom = max(2 * int(inside.sum()) - spent, 1)
         # a clean corner beyond the bound is left out of the sum: what that takes away is put back
         b2 = HUBER**2 / 2
         kept = 1 - b2 * np.exp(-b2) / (1 - np.exp(-b2))
-        return float(sigma * np.sqrt((e[inside] ** 2).sum() / freedom / kept)) or 1e-12
+        return float(np.sqrt((e[inside] ** 2).sum() / freedom / kept)) or 1e-6
 
 
 def _grouped(sights: Sequence[Sight]) -> list[_Group]:
