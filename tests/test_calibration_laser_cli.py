@@ -70,6 +70,10 @@ def test_air_then_water_in_one_file(dives: Path, tmp_path: Path, capsys: pytest.
     assert found.virtual_focal_px is not None
     assert "laser.direction[0]" in found.covariance.names
     assert {"laser", "range"} <= set(found.provenance)
+    for step in ("laser", "range"):
+        page = (tmp_path / f"rig-{step}.html").read_text()
+        assert "laser.range_scale" in page
+        assert "left_02.png" in page
 
 
 def test_refine_gives_an_air_rig_a_port(dives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

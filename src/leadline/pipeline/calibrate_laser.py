@@ -28,6 +28,7 @@ from leadline.calibration.refine import DISTANCES_M, PortGuess, Refinement, dept
 from leadline.calibration.views import BoardView
 from leadline.calibration.virtual_focal import VirtualFocal, virtual_focal
 from leadline.errors import InputError
+from leadline.evaluation.laser_report import Table, write_laser_page
 from leadline.pipeline.build import _water_state as parse_water_state
 from leadline.pipeline.calibrate_cameras import now
 from leadline.rig import Rig
@@ -39,8 +40,11 @@ from leadline.wire.camera_file import is_camera_file, read_camera, write_camera
 from leadline.wire.range_folder import is_range_folder, read_range_folder
 
 Tick = Callable[[int, int | None], object]
-Table = tuple[str, tuple[str, ...], Sequence[tuple[str, ...]]]
-"""Title, heads, rows."""
+NEXT = {
+    "laser": "a static dive in water: leadline calibrate range",
+    "range": "check the rig on boards that it has not seen: leadline calibrate check",
+    "refine": "check the rig on boards that it has not seen: leadline calibrate check",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +73,7 @@ def laser(
     else:
         report = _from_spots(dive, rig_file, medium, air_port, method, tick)
     _save(_with_provenance(report.rig, "laser", dive, report.lines), out)
+    write_laser_page(_page(out, "laser"), "Laser calibration", report.lines, report.tables, NEXT["laser"])
     return report
 
 
@@ -93,7 +98,9 @@ def water_range(
             report = _refine_report(refine(samples, rig, guess=guess or PortGuess(), water=water), source)
         else:
             report = _range_report(calibrate_range(samples, rig), source)
-    _with_provenance(report.rig, "refine" if refined else "range", dive, report.lines).save(out)
+    step = "refine" if refined else "range"
+    _with_provenance(report.rig, step, dive, report.lines).save(out)
+    write_laser_page(_page(out, step), "Range calibration in water", report.lines, report.tables, NEXT[step])
     return report
 
 
@@ -146,6 +153,11 @@ def _fitting(source: Source, rig: Rig, tick: Tick) -> Iterator[Sample]:
                 raise InputError(what, source.name, "give the rig of these cameras at this image size")
             tick(done, source.frame_count)
         yield sample
+
+
+def _page(out: Path, step: str) -> Path:
+    """rig.yaml -> rig-laser.html: the cameras' page keeps its own name."""
+    return out.with_name(f"{out.stem}-{step}.html")
 
 
 def _save(rig: Rig, out: Path) -> None:
@@ -216,7 +228,7 @@ def _spot_report(fit: BeamFit, source: Source, medium: str, method: str) -> Lase
     lines = [*_fit_lines(fit, source), f"beam measured in {medium}, method {method}"]
     if method == "ml":
         lines.append("where the laser begins on its beam and the offset are one number: see the covariance")
-    return LaserReport(fit.rig, tuple(lines), (_beam_table(fit.rig),))
+    return LaserReport(fit.rig, tuple(lines), (_beam_table(fit.rig), _station_table(fit)))
 
 
 def _range_report(result: RangeFit, source: Source) -> LaserReport:
@@ -227,7 +239,7 @@ def _range_report(result: RangeFit, source: Source) -> LaserReport:
             lines.append(
                 f"{what} by itself is not seen by this dive: it stays as known before, +- {result.fit.sigma(name):.5f}"
             )
-    tables = [_beam_table(result.fit.rig)]
+    tables = [_beam_table(result.fit.rig), _station_table(result.fit)]
     if result.focal is not None:
         tables.append(_focal_table(result.focal))
     return LaserReport(result.fit.rig, tuple(lines), tuple(tables))
@@ -236,7 +248,7 @@ def _range_report(result: RangeFit, source: Source) -> LaserReport:
 def _refine_report(result: Refinement, source: Source) -> LaserReport:
     rig = result.rig
     focal = virtual_focal(rig, result.fit.stations)
-    tables = [_gain_table(result), _depth_table(result), _beam_table(rig)]
+    tables = [_gain_table(result), _depth_table(result), _beam_table(rig), _station_table(result.fit)]
     if focal is not None:
         rig = dataclasses.replace(rig, virtual_focal_px=(focal.fx_px, focal.fy_px))
         tables.append(_focal_table(focal))
@@ -250,6 +262,16 @@ def _fit_lines(fit: BeamFit, source: Source) -> list[str]:
         *(f"left out: {name}: {why}" for name, why in fit.left_out),
         *(str(notice) for notice in source.notices),
     ]
+
+
+def _station_table(fit: BeamFit) -> Table:
+    """Where the fit goes through its stations."""
+    each = zip(fit.stations, fit.lengths_m, fit.pixel_residuals_px, fit.range_residuals_m, strict=True)
+    rows = [
+        (s.name, f"{length:.3f}", f"{s.raw_m:.4f}", f"{s.readings}", f"{1e3 * off:+.2f}", *(f"{px:+.3f}" for px in q))
+        for s, length, q, off in each
+    ]
+    return "stations", ("frame", "L, m", "reading, m", "n", "off, mm", "left u, px", "v", "right u", "v"), rows
 
 
 def _beam_table(rig: Rig) -> Table:

@@ -1,0 +1,43 @@
+"""One page for a laser's calibration: what was said of it, its tables, residuals by distance."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+from string import Template
+
+from leadline.errors import InputError
+
+_TEMPLATE = Path(__file__).with_name("calibration_report.html")
+_GREEN = "#2a7d4f"
+
+Table = tuple[str, tuple[str, ...], Sequence[tuple[str, ...]]]
+"""Title, heads, rows."""
+
+
+def write_laser_page(path: Path, title: str, lines: Sequence[str], tables: Sequence[Table], next_action: str) -> None:
+    """Write the page, whole or not at all. InputError where the folder cannot be written."""
+    page = Template(_TEMPLATE.read_text(encoding="utf-8")).substitute(
+        title=escape(title),
+        subtitle="",
+        colour=_GREEN,
+        verdict=escape(lines[0]),
+        doubts="<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines[1:]) + "</ul>" if lines[1:] else "",
+        next_action=escape(next_action),
+        sections="\n".join(_table(*table) for table in tables),
+    )
+    beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        beside.write_text(page, encoding="utf-8")
+        beside.replace(path)
+    except OSError as error:
+        beside.unlink(missing_ok=True)
+        raise InputError(f"cannot be written ({error.strerror})", str(path), "check the folder") from error
+
+
+def _table(title: str, heads: Sequence[str], rows: Sequence[tuple[str, ...]]) -> str:
+    head = "".join(f"<th>{escape(name)}</th>" for name in heads)
+    body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    return f"<h2>{escape(title)}</h2><table><tr>{head}</tr>{body}</table>"
