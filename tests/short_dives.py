@@ -33,10 +33,10 @@ class TrueBoxes:
 
     def __init__(self, dive: SimulatedDive) -> None:
         samples(dive)
-        self._boxes = {f["t_ns"]: f["box_left_px"] for f in dive.details["frames"]}
+        self._boxes = {f["name"]: f["box_left_px"] for f in dive.details["frames"]}
 
     def find(self, frame: StereoFrame) -> list[Detection]:
-        x0, y0, x1, y1 = self._boxes[frame.t_ns] or (0, 0, 0, 0)
+        x0, y0, x1, y1 = self._boxes[frame.name] or (0, 0, 0, 0)
         if not frame.left.any() or x1 <= x0:
             return []
         return [Detection((float(x0), float(y0), float(x1 - x0), float(y1 - y0)), 0.9)]

@@ -105,7 +105,8 @@ class OutlineRanger:
             return grey(image)
         within = sum(np.cov(ring.T) for ring in rings) + 4.0 * np.eye(3)  # 2 grey levels: no colour is free of noise
         mix = np.linalg.solve(within, rings[0].mean(axis=0) - rings[1].mean(axis=0))
-        return np.asarray(image @ (mix / np.linalg.norm(mix)), np.float32)
+        length = float(np.linalg.norm(mix))
+        return grey(image) if length == 0 else np.asarray(image @ (mix / length), np.float32)  # a black picture
 
     def _edges(self, colour: Image, ball: Array, side: Side, reach_radii: float) -> _Edges:
         """Sub-pixel edges along the outline's normals, of the sign that most of the outline has."""
