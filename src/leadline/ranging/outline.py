@@ -113,6 +113,9 @@ class OutlineRanger:
         image = self._contrast(colour, ball, side)
         inner, contour, outer = (self._contour(ball, side, g) for g in (0.99, 1.0, 1.01))
         normal = outer - inner
+        nothing = _Edges(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
+        if not np.isfinite(normal).all(axis=1).any():
+            return nothing
         size_px = float(np.nanmedian(np.linalg.norm(normal, axis=1))) / 0.02
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         reach = max(reach_radii * size_px, 5.0)
@@ -122,7 +125,7 @@ class OutlineRanger:
         ).all(axis=1)
         contour, normal = contour[inside], normal[inside]
         if len(contour) < 8:
-            return _Edges(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
+            return nothing
         offset_px = self._strongest(image, contour, normal, reach, max(1.0, size_px / 150))
         found = np.isfinite(offset_px)
         at = contour[found] + offset_px[found, None] * normal[found]
