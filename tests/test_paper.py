@@ -148,7 +148,7 @@ def test_without_a_target_there_is_nothing_until_it_was_seen_once() -> None:
     assert solve(localizer, reading(1.0), frame(20.0)).stage is Stage.LASER
 
 
-@pytest.mark.parametrize(("age_s", "stage"), [(0.35, Stage.BOTH), (0.45, Stage.BINOCULAR)])
+@pytest.mark.parametrize(("age_s", "stage"), [(0.34, Stage.BOTH), (0.4, Stage.BINOCULAR)])
 def test_a_reading_is_held_for_a_little_more_than_one_period(age_s: float, stage: Stage) -> None:
     samples = reading(1.0, 1.0 - age_s), frame(24, (330, 170))
     assert solve(PaperLocalizer(AIR, Sphere(), Found()), *samples).stage is stage

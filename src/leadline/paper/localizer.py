@@ -33,8 +33,9 @@ class Finder(Protocol):
 
 
 class PaperLocalizer:
-    """``step(sample)`` gives one solution for every stereo frame. No refraction, no sub-pixel step, no memory but the
-    last reading: ``position_m`` is the paper's point (left camera's frame), ``range_m`` its distance D.
+    """``step(sample)`` gives one solution for every stereo frame, and another when a reading of the same instant comes
+    after it. No refraction, no sub-pixel step, no memory but the last frame and reading: ``position_m`` is the paper's
+    point (left camera's frame), ``range_m`` its distance D.
 
     Built like ``Localizer``; the target's shape is of no use to it. Without a detector the image itself is the box.
     """
@@ -46,6 +47,7 @@ class PaperLocalizer:
         self._finder = detector
         self._pair = PinholePair(rig)
         self._reading: LaserRange | None = None
+        self._frame: StereoFrame | None = None
         self._seen = detector is None
         self.detections: list[Detection] = []  # of the last frame, for those who draw
 
@@ -53,7 +55,10 @@ class PaperLocalizer:
         if isinstance(sample, LaserRange):
             if np.isfinite(sample.range_m) and sample.range_m > 0:
                 self._reading = sample
+                if self._seen and self._frame is not None and self._frame.t_ns == sample.t_ns:
+                    return self._locate(self._frame)
             return None
+        self._frame = sample
         self.detections = [] if self._finder is None else self._finder.find(sample)
         self._seen = self._seen or bool(self.detections)
         if not self._seen:
