@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import cv2
@@ -15,6 +16,7 @@ from leadline.calibration.cameras import CameraCalibration, CameraSettings, cali
 from leadline.calibration.comparison import pinhole_in_water
 from leadline.calibration.derivatives import Medium
 from leadline.calibration.heldout import check_rig
+from leadline.calibration.verdict import verdict
 from leadline.calibration.views import BoardView
 from leadline.cli import main
 from leadline.pipeline.calibrate_cameras import find_boards
@@ -207,3 +209,7 @@ def test_air_only_and_water_only(views: list[BoardView]) -> None:
     water = calibrate_cameras(views[20:], BOARD, (1920, 1080), CameraSettings(water_state=WaterState(20.0)))
     assert water.rig.port is not None
     assert abs(water.rig.port.distance_m - 0.010) < 3 * water.fit.sigma("port.distance_m")
+    told = next(line for line in verdict(water, None, None).doubts if "no images in air" in line)
+    alone, both = map(float, re.findall(r"([\d.]+) mm", told))
+    assert 0 < both < 0.8 * alone  # told how much worse, in mm
+    assert any("no images in water" in line for line in verdict(air, None, None).doubts)

@@ -5,6 +5,7 @@ Long form: 1,000 rigs. Bands are set for 1 % false alarms, and the tests of the 
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,9 +18,11 @@ from leadline.calibration.comparison import calibration_sigma_mm, field_points
 from leadline.calibration.derivatives import Medium
 from leadline.calibration.problem import Problem
 from leadline.calibration.views import sights_of
+from leadline.geometry import LayeredPort
 from leadline.rig import Rig
 from leadline.rig_parameters import get
 from leadline.samples import Array
+from leadline.water import WaterState
 
 SIGMA_PX = 0.05
 KNOWN_GLASS = CameraSettings(port_thickness_m=0.002, port_index=1.52)
@@ -87,7 +90,7 @@ def depth_ratio(runs: list[Run]) -> float:
 
 @pytest.fixture(scope="module")
 def few() -> list[Run]:
-    return [calibrated(seed, 8) for seed in range(16)]
+    return [calibrated(seed, 8) for seed in range(10)]
 
 
 def test_errors_are_as_the_covariance_says(few: list[Run]) -> None:
@@ -97,11 +100,11 @@ def test_errors_are_as_the_covariance_says(few: list[Run]) -> None:
 
 
 def test_no_estimator_could_do_much_better(few: list[Run]) -> None:
-    assert efficiency(few) < 1.2  # 16 runs: the ratio itself is good to 0.05
+    assert efficiency(few) < 1.15  # 10 runs: the ratio itself is good to 0.04
 
 
 def test_depth_sigma_is_the_right_size(few: list[Run]) -> None:
-    assert 0.65 < depth_ratio(few) < 1.4  # places share their errors: 16 runs are good to 0.15
+    assert 0.6 < depth_ratio(few) < 1.45  # places share their errors: 10 runs are good to 0.2
 
 
 @pytest.mark.long
@@ -128,3 +131,22 @@ def test_25_pairs_each_are_as_good_as_they_can_be() -> None:
     depth = run.depth_sigma_mm.reshape(-1, 3)
     assert np.nanmax(depth[:, :2]) <= 0.4
     assert np.nanmax(depth[:, 2]) <= 1.1
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_thick_acrylic_in_the_sea_tilted(seed: int) -> None:
+    """10 mm of acrylic at 30 mm, tilted by 2.9 degrees, sea water, distorted lenses: as good as the rendered rig."""
+    rng = np.random.default_rng([77, seed])
+    sea = WaterState(12.0, 35.0, 5.0)
+    normal = (np.sin(0.05) * np.cos(seed), np.sin(0.05) * np.sin(seed), np.cos(0.05))
+    truth = dataclasses.replace(random_rig(rng), port=LayeredPort(normal, 0.03, ((0.010, 1.49),), sea.index(532.0)))
+    views = [v for m in (Medium.AIR, Medium.WATER) for v in board_views(truth, m, 20, rng)[0]]
+    rig = calibrate_cameras(views, BOARD, SIZE, CameraSettings(0.010, 1.49, sea)).rig
+    assert rig.port is not None
+    assert abs(rig.port.distance_m - 0.03) < 1e-3
+    assert np.degrees(np.arccos(min(1.0, float(rig.port.normal @ normal)))) < 0.05
+    assert abs(rig.port.outside_index - sea.index(532.0)) < 1e-3
+    points = field_points(truth)
+    error = np.abs(rig.triangulate(*truth.project(points.reshape(-1, 3)))[0].reshape(points.shape) - points) * 1e3
+    assert np.nanmax(error[:, 0, 2]) < 0.5
+    assert np.nanmean(np.linalg.norm(error, axis=2)) < 1.0

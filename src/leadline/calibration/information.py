@@ -87,6 +87,19 @@ def suggestion(calibration: CameraCalibration, points_m: Array) -> Suggestion | 
     return best
 
 
+def with_air(calibration: CameraCalibration, points_m: Array) -> tuple[float, float]:
+    """Depth's standard deviation, mm, mean over points (N, 3), of boards in water alone, and with them in air too."""
+    fit, rig, board = calibration.fit, calibration.rig, calibration.board
+    sights = [
+        Sight(view, side, Medium.AIR, board.points_m, project(rig, side, Medium.AIR, pose.apply(board.points_m))[0])
+        for view, pose in enumerate(fit.poses)
+        for side in SIDES[: 1 if calibration.mono else 2]
+    ]
+    extra = Problem(sights, fit.names).information(rig, fit.poses, fit.sigma_px)
+    depth = point_sensitivity(rig, points_m, fit.names)[:, 2] * 1e3
+    return _mean_sigma(depth, fit.covariance), _mean_sigma(depth, _inverse(_inverse(fit.covariance) + extra))
+
+
 def _information(calibration: CameraCalibration, medium: Medium, place_m: Array) -> Array | None:
     """(G, G) from EXTRA boards around a place, their poses free; None where fewer than half of them are in the view."""
     fit, rig, board = calibration.fit, calibration.rig, calibration.board

@@ -10,7 +10,7 @@ import numpy as np
 from leadline.calibration.cameras import CameraCalibration
 from leadline.calibration.comparison import calibration_sigma_mm, field_points
 from leadline.calibration.derivatives import Medium
-from leadline.calibration.information import Suggestion, limits, spread, suggestion
+from leadline.calibration.information import Suggestion, limits, spread, suggestion, with_air
 from leadline.calibration.lengths import Halves, board_lengths, halves
 from leadline.calibration.views import LAYER_NAMES, SIDES, BoardView
 from leadline.rig_parameters import get
@@ -162,6 +162,13 @@ def _thin(calibration: CameraCalibration) -> list[str]:
     return out
 
 
+def _without_air(calibration: CameraCalibration) -> str:
+    if calibration.mono:
+        return "port and lens are hard to tell apart"
+    here, both = with_air(calibration, field_points(calibration.rig)[-1, :2])
+    return f"the depth at 2.2 m is good to {here:.2f} mm, with the same boards in air too it would be {both:.2f} mm"
+
+
 def _strange(calibration: CameraCalibration) -> list[str]:
     out = []
     blurred = [v.name for v in calibration.views if any(c is not None and c.blurred for c in (v.left, v.right))]
@@ -178,5 +185,7 @@ def _strange(calibration: CameraCalibration) -> list[str]:
         if port.distance_m > 0.15:
             out.append(f"the port comes out {port.distance_m * 1e3:.0f} mm before the cameras: check the board's size")
     if calibration.media() == {Medium.WATER}:
-        out.append("no images in air: port and lenses are hard to tell apart")
+        out.append(f"no images in air: {_without_air(calibration)}")
+    if calibration.rig.port is None:
+        out.append("no images in water: this rig is for air; behind a port in water it would be wrong by a quarter")
     return out

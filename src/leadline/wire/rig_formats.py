@@ -6,8 +6,8 @@ from them is a rig without a port. All three are read into the same ``Rig``.
 calibmar (one file a camera; the second has its pose): ``model``, ``parameters``, ``non_svp_model: FLATPORT``,
 ``non_svp_parameters: [Nx, Ny, Nz, int_dist, int_thick, na, ng, nw]``, ``cam_to_world_rotation_rowmajor`` and
 ``cam_to_world_translation`` with X_world = R X_camera + t; lengths in metres, pixels as OpenCV's. OpenCV: M1 D1 M2 D2 R
-T (its samples' names) or cameraMatrix1 distCoeffs1 ...; right-from-left, T in metres. ROS: P[0, 3] of the right camera is
--fx times the baseline.
+T (its samples' names) or cameraMatrix1 distCoeffs1 ...; right-from-left, T in metres. ROS: P[0, 3] of the right camera
+is -fx times the baseline.
 """
 
 from __future__ import annotations
