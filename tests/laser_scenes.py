@@ -16,6 +16,7 @@ from leadline.rig_parameters import get, replaced
 from leadline.samples import NS_PER_S, Array, Image, LaserRange, Sample, StereoFrame
 
 AIR_Z_M = (0.5, 0.8, 1.1, 1.4, 1.7, 2.0, 2.5)
+MATCH_NOISE_PX = 0.06
 WATER_Z_M = (0.5, 0.7, 0.9, 1.1, 1.3, 1.5, 1.7, 1.9, 2.1, 2.2)
 
 
@@ -38,9 +39,15 @@ def spot_points(rig: Rig, z_m: Sequence[float]) -> tuple[Array, Array]:
 
 
 def stations(
-    rig: Rig, z_m: Sequence[float], rng: np.random.Generator, *, sigma_px: float = 0.1, readings: int = 10
+    rig: Rig,
+    z_m: Sequence[float],
+    rng: np.random.Generator,
+    *,
+    sigma_px: float = 0.1,
+    readings: int = 10,
+    matches: int = 0,
 ) -> list[Station]:
-    """What a perfect search would find: spots with noise, means of noisy readings."""
+    """What a perfect search would find: spots with noise, means of noisy readings, matches over the view."""
     assert rig.laser is not None
     lengths, points = spot_points(rig, z_m)
     left, right = rig.project(points)
@@ -49,6 +56,12 @@ def stations(
         raw = rig.laser.raw_m(float(length)) + rig.laser.range_sigma_m * rng.normal(size=readings)
         seen = [Spot(q[i] + sigma_px * rng.normal(size=2), sigma_px**2 * np.eye(2), 30.0) for q in (left, right)]
         out.append(Station(f"{i}.png", seen[0], seen[1], float(raw.mean()), readings, float(raw.std(ddof=1))))
+    for i, z in enumerate(z_m if matches else ()):
+        wall = z * np.stack(
+            [rng.uniform(-0.3, 0.3, matches), rng.uniform(-0.2, 0.2, matches), np.ones(matches)], axis=1
+        )
+        seen_px = np.hstack(rig.project(wall)) + MATCH_NOISE_PX * rng.normal(size=(matches, 4))
+        out[i] = dataclasses.replace(out[i], matches_px=seen_px)
     return out
 
 

@@ -57,17 +57,17 @@ def draw(rng: np.random.Generator) -> tuple[Rig, Refinement]:
     start = laser_module._first_beam(believed, dry, None)
     measured = laser_module._ml_fit(start, dry, believed.covariance)
     known = put_in_water(measured.rig, GUESS, STATE)
-    return rig, refine_stations(known, stations(rig, WATER_Z_M, rng, sigma_px=0.07))
+    return rig, refine_stations(known, stations(rig, WATER_Z_M, rng, sigma_px=0.07, matches=10))
 
 
 @pytest.fixture(scope="module")
 def draws() -> list[tuple[Rig, Refinement]]:
     rng = np.random.default_rng(7)
-    return [draw(rng) for _ in range(10)]
+    return [draw(rng) for _ in range(8)]
 
 
 def test_the_covariance_is_honest(draws: list[tuple[Rig, Refinement]]) -> None:
-    """40 numbers: mean NEES 1 +- 0.22, band for 1 % false alarms 0.5-1.65; half or twice the covariance leaves it.
+    """32 numbers: mean NEES 1 +- 0.25, band for 1 % false alarms 0.46-1.75; half or twice the covariance leaves it.
 
     The beam's possible bend, which is not drawn here, makes the covariance a little too wide.
     """
@@ -75,11 +75,11 @@ def test_the_covariance_is_honest(draws: list[tuple[Rig, Refinement]]) -> None:
     for true, refined in draws:
         error = get(refined.rig, SEEN) - get(true, SEEN)
         values.append(error @ np.linalg.solve(refined.rig.covariance.of(SEEN), error) / len(SEEN))
-    assert 0.5 < np.mean(values) < 1.65
+    assert 0.46 < np.mean(values) < 1.75
 
 
 def test_depth_errors_shrink_and_are_as_stated(draws: list[tuple[Rig, Refinement]]) -> None:
-    """Half way out at 2.2 m, where an unknown tilt counts: less than a half of the error is left."""
+    """Half way out at 2.2 m, where an unknown tilt counts: less than half of the error is left, the cameras' own."""
     before, after, stated = [], [], []
     for true, refined in draws:
         point = np.array([[0.17 * 2.2, 0.0, 2.2]])
@@ -88,7 +88,7 @@ def test_depth_errors_shrink_and_are_as_stated(draws: list[tuple[Rig, Refinement
         after.append(refined.rig.triangulate(*seen)[0][0, 2] - 2.2)
         stated.append(np.sqrt(position_cov(refined.rig, point[0])[2, 2]))
     rms_before, rms_after = (np.sqrt(np.mean(np.square(e))) for e in (before, after))
-    assert rms_after < 0.6 * rms_before
+    assert rms_after < 0.5 * rms_before
     assert rms_after < 1.7 * np.sqrt(np.mean(np.square(stated)))
 
 
@@ -123,16 +123,17 @@ def test_a_rig_without_a_laser_is_told() -> None:
         refine(painted_dive(truth_rig(), WATER_Z_M[:3]), dataclasses.replace(truth_rig(), laser=None))
 
 
+@pytest.mark.long
 @pytest.mark.data
 def test_rendered_air_boards_and_one_laser_dive(data_dir: Path) -> None:
-    """No board under water, nothing known of port and water: depth good to 1.5 mm, from a guess that is off by 3 mm."""
+    """No board under water, nothing known of port and water: depth good to 1.5 mm, from a guess off by 3 mm."""
     folder, board = data_dir / "rendered_dives", Board(11, 8, 0.030)
     views = find_boards(folder / "calib_air", Medium.AIR, board).views
     cameras = calibrate_cameras(views, board, (1920, 1080)).rig
     dry = calibrate_laser(open_source(folder / "ranging_air"), cameras)
     result = refine(open_source(folder / "ranging_water"), dry.rig)
     z = np.array(DISTANCES_M)
-    for slope in (0.0, 0.25):
+    for slope in (0.0, 0.25, 0.4):
         points = np.stack([slope * z, 0 * z, z], axis=1)
         seen = truth_rig().project(points)
         error = np.abs(result.rig.triangulate(*seen)[0][:, 2] - z)

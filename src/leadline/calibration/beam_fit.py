@@ -1,8 +1,9 @@
 """Fit of a rig's parameters to stations of a laser's spot: maximum a posteriori, with what stays uncertain.
 
-Each station has four pixel coordinates and a mean reading, and one unknown of its own, the length L along the beam.
-Parameters are either free (estimated, from a prior) or merely considered: held, but their uncertainty goes into the
-result (Schmidt, 1966). With K the gain of the free ones and H = dz/dparameters (whitened, L eliminated), errors go as
+Each station has four pixel coordinates and a mean reading, and one unknown of its own, the length L along the beam;
+and, where asked for, matches of other texture, each one number without an unknown. Parameters are either free
+(estimated, from a prior) or merely considered: held, but their uncertainty goes into the result (Schmidt, 1966). With K
+the gain of the free ones and H = dz/dparameters (whitened, L eliminated), errors go as
 
     e+ = [[I - K H_free, -K H_held], [0, I]] e + [K, 0] v
 
@@ -18,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from leadline.calibration.matches import misses_px
 from leadline.calibration.spots import Station
 from leadline.rig import Rig
 from leadline.rig_covariance import RigCovariance
@@ -29,6 +31,8 @@ ORIGIN = tuple(f"laser.origin_m[{i}]" for i in range(3))
 SUSPECT_SIGMAS = 2.5
 FITS_BETTER = 0.5  # a station is left out if the others then fit at least twice as well (chi2 over its freedom)
 _STATED = 5.0
+MATCH_SIGMA_PX = 0.1
+LEAST_MATCH = 0.5  # of that: matches of one texture are wrong alike
 _JITTER = 1e-10  # of correlations: parameters of a joint fit can be all but one
 ROUNDING_M = 0.001 / np.sqrt(12)  # devices give millimetres; a static mean cannot be trusted far below
 
@@ -94,6 +98,7 @@ class Noise:
 
     pixel: float = 1.0
     range: float = 1.0
+    match: float = 1.0
 
 
 class _Problem:
@@ -105,6 +110,8 @@ class _Problem:
         self._start, self._basis = get(rig, free), _basis(rig, free)
         self._measured = np.array([[*s.left.q_px, *s.right.q_px] for s in stations])
         self._raw_m = np.array([s.raw_m for s in stations])
+        self._matches = np.concatenate([s.matches_px for s in stations])
+        self._match_sigma = noise.match * MATCH_SIGMA_PX
         self._pixel_sigma = noise.pixel * np.array([_pixel_sigmas(s) for s in stations])
         assert rig.laser is not None
         alone = max(rig.laser.range_sigma_m, 1e-4)
@@ -122,7 +129,7 @@ class _Problem:
         """Free parameters (k,) in their own coordinates, and lengths (N,), m; from where they are known roughly."""
         first = np.zeros(self._count) if x is None else x / self._to_x
         lengths = self._first_lengths() if lengths_m is None else lengths_m
-        fit = least_squares(self._vector, np.concatenate([first, lengths]), x_scale="jac")
+        fit = least_squares(self._vector, np.concatenate([first, lengths]), x_scale="jac", ftol=1e-7, xtol=1e-7)
         return fit.x[: self._count] * self._to_x, fit.x[self._count :]
 
     def rig(self, x: Array) -> Rig:
@@ -136,9 +143,9 @@ class _Problem:
         return np.asarray(np.sqrt(np.sum(self._white(self.rig(x), lengths_m) ** 2, axis=1) / 4))
 
     def chi2(self, x: Array, lengths_m: Array) -> tuple[float, int]:
-        rows = self._white(self.rig(x), lengths_m)
+        rows = self._rows(self.rig(x), lengths_m)
         pull = self._whiten @ (x / self._to_x)
-        return float(np.sum(rows**2) + pull @ pull), rows.size - len(lengths_m)
+        return float(rows @ rows + pull @ pull), rows.size - len(lengths_m)
 
     def reduced_chi2(self, x: Array, lengths_m: Array) -> float:
         chi2, dof = self.chi2(x, lengths_m)
@@ -146,25 +153,30 @@ class _Problem:
 
     def noise(self, x: Array, lengths_m: Array) -> Noise:
         """What the residuals say the noise is, beside what was stated (which counts as _STATED observations)."""
+        missed = float(np.sum(self._missed(self.rig(x)) ** 2))
+        match = self._noise.match * np.sqrt((missed + _STATED) / (len(self._matches) + _STATED))
         rows = self._white(self.rig(x), lengths_m) ** 2
         freedom = 1 - self._leverages(self.rig(x), lengths_m)
         pixel, reading = (
             np.sqrt((np.sum(rows[:, part]) + _STATED) / (np.sum(freedom[:, part]) + _STATED))
             for part in (slice(0, 4), slice(4, 5))
         )
-        return Noise(float(self._noise.pixel * pixel), float(self._noise.range * max(1.0, reading)))
+        reading = self._noise.range * max(1.0, reading)
+        return Noise(float(self._noise.pixel * pixel), float(reading), max(float(match), LEAST_MATCH))
 
     def _leverages(self, rig: Rig, lengths_m: Array) -> Array:
         """The share of each residual (N, 5) that the parameters and lengths take up (the hat matrix's diagonal)."""
         n, k = len(lengths_m), self._count
         slopes = self._length_slopes(rig, lengths_m)
-        design = np.zeros((slopes.size, k + n))
-        design[:, :k] = self._gradient(rig, self._free, lengths_m) @ self._basis
+        gradient = self._gradient(rig, self._free, lengths_m) @ self._basis
+        design = np.zeros((len(gradient), k + n))
+        design[:, :k] = gradient
         for i, slope in enumerate(slopes):
             design[i * 5 : (i + 1) * 5, k + i] = slope
         information = design.T @ design
         information[:k, :k] += _inverse(self._prior_x)
-        return np.asarray(np.sum(design * _solve(information, design.T).T, axis=1).reshape(n, 5))
+        shares = np.sum(design * _solve(information, design.T).T, axis=1)
+        return np.asarray(shares[: 5 * n].reshape(n, 5))
 
     def result(self, x: Array, lengths_m: Array) -> Rig:
         """The rig at the solution, with the joint covariance of everything that was uncertain."""
@@ -209,20 +221,31 @@ class _Problem:
         x, lengths = scaled[: self._count] * self._to_x, scaled[self._count :]
         pull = self._whiten @ scaled[: self._count]
         try:
-            rows = self._white(self.rig(x), lengths).ravel()
+            rows = self._rows(self.rig(x), lengths)
         except ValueError:  # a step to where no rig is: an index below 1, a port behind the camera
-            rows = np.full(self._measured.size + len(self._raw_m), 1e6)
+            rows = np.full(self._measured.size + len(self._raw_m) + len(self._matches), 1e6)
         return np.concatenate([np.nan_to_num(rows, nan=1e6), pull])
+
+    def _rows(self, rig: Rig, lengths_m: Array) -> Array:
+        """All whitened residuals: the stations' (5N), then the matches'."""
+        return np.concatenate([self._white(rig, lengths_m).ravel(), self._missed(rig)])
+
+    def _missed(self, rig: Rig) -> Array:
+        if not len(self._matches):
+            return np.zeros(0)
+        return misses_px(rig, self._matches) / self._match_sigma
 
     def _white(self, rig: Rig, lengths_m: Array) -> Array:
         pixels, ranges = _residuals(rig, self._measured, self._raw_m, lengths_m)
         return np.hstack([pixels / self._pixel_sigma, (ranges / self._range_sigma)[:, None]])
 
     def _without_lengths(self, rig: Rig, lengths_m: Array) -> Array:
-        """(4N, 5N): what of the residuals no choice of the lengths can explain."""
+        """(4N + M, 5N + M): what of the residuals no choice of the lengths can explain; matches have no length."""
         slopes = self._length_slopes(rig, lengths_m)
         n, width = slopes.shape
-        out = np.zeros((n * (width - 1), n * width))
+        m = len(self._matches)
+        out = np.zeros((n * (width - 1) + m, n * width + m))
+        out[n * (width - 1) :, n * width :] = np.eye(m)
         for i, slope in enumerate(slopes):
             null = np.linalg.svd(slope[None])[2][1:]
             out[i * (width - 1) : (i + 1) * (width - 1), i * width : (i + 1) * width] = null
@@ -234,18 +257,19 @@ class _Problem:
         return np.asarray((self._white(rig, lengths_m - step) - self._white(rig, lengths_m + step)) / (2 * step))
 
     def _gradient(self, rig: Rig, names: tuple[str, ...], lengths_m: Array) -> Array:
-        """-d(whitened residuals)/d(parameters) (5N, k), central differences: measurements as functions of them."""
+        """-d(whitened residuals)/d(parameters) (5N + M, k), central differences: measurements as functions of them."""
         columns = []
         for name in names:
             if not _takes_part(rig, name):
-                columns.append(np.zeros(5 * len(lengths_m)))
+                columns.append(np.zeros(5 * len(lengths_m) + len(self._matches)))
                 continue
             value = float(get(rig, [name])[0])
             step = 1e-2 if name.endswith("_px") else 1e-5 if "distortion" in name else 1e-6
-            high = self._white(replaced(rig, [name], [value + step]), lengths_m)
-            low = self._white(replaced(rig, [name], [value - step]), lengths_m)
-            columns.append((low - high).ravel() / (2 * step))
-        return np.stack(columns, axis=1) if columns else np.zeros((5 * len(lengths_m), 0))
+            high = self._rows(replaced(rig, [name], [value + step]), lengths_m)
+            low = self._rows(replaced(rig, [name], [value - step]), lengths_m)
+            columns.append((low - high) / (2 * step))
+        count = 5 * len(lengths_m) + len(self._matches)
+        return np.stack(columns, axis=1) if columns else np.zeros((count, 0))
 
 
 def _takes_part(rig: Rig, name: str) -> bool:

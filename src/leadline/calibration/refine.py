@@ -5,7 +5,8 @@ What the dive adds to what was known before, in the order of what it is worth:
 1. Lengths. The laser's scale is known from air, and the group index goes with the phase index: readings that grow by
    scale * n_g for each metre that the cameras see, through n, weigh the index against itself from two sides.
 2. Places. In air the beam was seen without the port. The same beam seen through it says where the port bends rays.
-3. Straightness. The spots lie on one line, and left and right see the same spot; a wrong port or tilt breaks both.
+3. Meeting rays. Left and right see the same spot, and the same points of whatever texture is around it; a wrong tilt or
+   distance of the port makes their rays miss each other.
 
 All parameters are estimated at once (``beam_fit``), drawn to what the rig's covariance says. The beam may bend at its
 own window on the way into the water, and moves sideways with that: the more it has turned, the less its place is
@@ -21,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leadline.calibration.beam_fit import DIRECTION, BeamFit, fit_beam
+from leadline.calibration.matches import misses_px
 from leadline.calibration.range import (
     BEND_M,
     GROUP,
@@ -44,6 +46,7 @@ DISTANCES_M = (0.2, 0.3, 0.5, 0.8, 1.2, 1.6, 2.2)
 WINDOW_M = 0.03  # how far behind its own window a laser may begin: sideways by this for each radian that it turned
 LEAST_BEND_M = 5e-5
 WIDE_INDEX, WIDE_INDEX_SIGMA, STATED_INDEX_SIGMA = 1.338, 0.004, 0.001
+ROUGH_MATCH_PX, GOOD_MATCH_PX = 0.5, 0.15
 ROUGH_MEET_PX = 6.0  # left with right, through a port that is only guessed
 
 
@@ -99,7 +102,7 @@ def refine(
     if rig.laser is None:
         raise InputError("the rig has no laser", "", "run `leadline calibrate laser` on a dive in air first")
     start = rig if rig.port is not None else with_guessed_port(rig, guess, water)
-    stations, unseen = water_stations(sightings(samples), start, meet_px=ROUGH_MEET_PX)
+    stations, unseen = water_stations(sightings(samples, matched=True), start, meet_px=ROUGH_MEET_PX)
     refinement = refine_stations(start, stations)
     left_out = unseen + refinement.fit.left_out
     return Refinement(refinement.before, dataclasses.replace(refinement.fit, left_out=left_out))
@@ -108,14 +111,24 @@ def refine(
 def refine_stations(rig: Rig, stations: Sequence[Station]) -> Refinement:
     """``refine`` from the stations of a dive, for a rig with port, water and laser."""
     start = with_reading_sigma(rig, stations)
-    fit = _fit(start, stations, BEND_M)
-    fit = _fit(start, stations, _sideways_m(start, fit))
+    fit = _fit(start, _matching(start, stations, ROUGH_MATCH_PX), BEND_M)
+    fit = _fit(start, _matching(fit.rig, stations, GOOD_MATCH_PX), _sideways_m(start, fit))
     return Refinement(dataclasses.replace(start, covariance=range_prior(start)), fit)
 
 
 def _fit(rig: Rig, stations: Sequence[Station], bend_m: float) -> BeamFit:
     prior = range_prior(rig, bend_m)
     return fit_beam(rig, stations, prior.names, prior)
+
+
+def _matching(rig: Rig, stations: Sequence[Station], slack_px: float) -> list[Station]:
+    """The stations with those matches whose rays miss each other like the others of their frame."""
+    out = []
+    for station in stations:
+        off = misses_px(rig, station.matches_px)
+        off = np.abs(off - np.median(off)) if len(off) else off
+        out.append(dataclasses.replace(station, matches_px=station.matches_px[off <= slack_px]))
+    return out
 
 
 def _sideways_m(before: Rig, fit: BeamFit) -> float:

@@ -7,12 +7,13 @@ meet), frame with frame (one straight line), and length with reading (one scale 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from leadline.calibration.matches import find_matches
 from leadline.errors import InputError
 from leadline.recognition.spot import Spot, centre_spot, greenness
 from leadline.rig import Rig
@@ -42,6 +43,7 @@ class Station:
     raw_m: float
     readings: int
     scatter_m: float  # standard deviation of one reading about the mean; NaN for one alone
+    matches_px: Array = field(default_factory=lambda: np.zeros((0, 4)))  # left and right pixels of any other texture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,15 +56,23 @@ class Sighting:
     raw_m: float
     readings: int
     scatter_m: float
+    matches_px: Array = field(default_factory=lambda: np.zeros((0, 4)))
 
 
-def sightings(samples: Iterable[Sample]) -> list[Sighting]:
-    """Candidates and mean readings of all frames that have a reading within STATIC_S. Images are not kept."""
-    frames: list[tuple[int, str, tuple[Spot, ...], tuple[Spot, ...]]] = []
+def sightings(samples: Iterable[Sample], *, matched: bool = False) -> list[Sighting]:
+    """Candidates and mean readings of all frames that have a reading within STATIC_S. Images are not kept.
+
+    matched: also look for points that both images show, near the shift of the likeliest spot.
+    """
+    frames: list[tuple[int, str, tuple[Spot, ...], tuple[Spot, ...], Array]] = []
     readings: list[LaserRange] = []
     for sample in samples:
         if isinstance(sample, StereoFrame):
-            frames.append((sample.t_ns, sample.name, spot_candidates(sample.left), spot_candidates(sample.right)))
+            left, right = spot_candidates(sample.left), spot_candidates(sample.right)
+            matches = np.zeros((0, 4))
+            if matched and left and right:
+                matches = find_matches(sample.left, sample.right, right[0].q_px - left[0].q_px)
+            frames.append((sample.t_ns, sample.name, left, right, matches))
         else:
             readings.append(sample)
     if not frames:
@@ -71,10 +81,10 @@ def sightings(samples: Iterable[Sample]) -> list[Sighting]:
         raise InputError("no laser reading", "", "give a dive with laser.csv (t_s,range_m)")
     times, ranges = np.array([r.t_ns for r in readings]), np.array([r.range_m for r in readings])
     out = []
-    for t_ns, name, left, right in frames:
+    for t_ns, name, left, right, matches in frames:
         near = ranges[np.abs(times - t_ns) <= STATIC_S * NS_PER_S]
         if len(near):
-            out.append(Sighting(name, left, right, *_mean(near)))
+            out.append(Sighting(name, left, right, *_mean(near), matches))
     if not out:
         raise InputError(
             f"no reading within {STATIC_S:g} s of any frame", "", "frames.csv and laser.csv must share one clock"
@@ -169,7 +179,7 @@ def spot_stations(
     if not chosen or np.median([_stands_out(found, points, i) for i in chosen]) < _STANDS_OUT:
         return []
     return [
-        Station(f.name, points.left[i], points.right[i], f.raw_m, f.readings, f.scatter_m)
+        Station(f.name, points.left[i], points.right[i], f.raw_m, f.readings, f.scatter_m, f.matches_px)
         for i in chosen
         for f in [found[int(points.owner[i])]]
     ]
