@@ -38,7 +38,7 @@ class PaperConfig(Section):
     farthest_m: Positive = Field(default=20.0, description="least disparity searched")
     disparity_sigma_px: Positive = Field(default=0.29, description="rounding to a whole pixel, 1/sqrt(12); sigma_1")
     laser_sigma_m: Positive = Field(default=0.003, description="the rangefinder's accuracy; sigma_2")
-    laser_hold_s: Positive = Field(default=0.36, description="the laser works while its last reading is no older (3 Hz)")
+    laser_hold_s: Positive = Field(default=0.36, description="the laser works while its last reading is no older")
     spot_grey: float = Field(default=180.0, gt=0, lt=255, description="the spot is brighter than this grey level")
     spot_circularity: float = Field(default=0.7, ge=0, le=1, description="4 pi A / P^2 of the spot's outline")
     spot_area_px: tuple[float, float] = Field(default=(9.0, 4000.0), description="least and greatest area of the spot")
