@@ -28,6 +28,7 @@ from leadline.calibration.views import (
     numbered_alike,
     sights_of,
 )
+from leadline.errors import InputError
 from leadline.geometry import Camera, LayeredPort, Pose
 from leadline.rig import Rig, Side
 from leadline.rig_covariance import RigCovariance
@@ -73,7 +74,6 @@ class CameraCalibration:
     left_out: tuple[LeftOut, ...]
     corners_left_out: int
     settings: CameraSettings
-    air_fit: Fit | None = None
 
     @property
     def priors(self) -> dict[str, Prior]:
@@ -91,24 +91,24 @@ def calibrate_cameras(
     views = numbered_alike([v for v in views if v.left is not None or v.right is not None], board)
     mono = all(v.right is None for v in views)
     start, poses = _start(views, board, size, mono)
-    dry = [i for i, v in enumerate(views) if v.medium is Medium.AIR]
-    air_fit = None
+    solved: dict[int, Pose] = {}
+    dry = [i for i, v in enumerate(views) if v.medium in _AIR]
     if dry and len(dry) < len(views):
-        air = [views[i] for i in dry]
-        air_problem = Problem(sights_of(air, board), _names(air, mono, settings), _priors(start, air, mono, settings))
-        air_fit = air_problem.solve(start, [poses[i] for i in dry])
-        start = air_fit.rig
+        # the lenses first; for a start a port between air and air is none
+        air = [dataclasses.replace(views[i], medium=Medium.AIR) for i in dry]
+        problem = Problem(sights_of(air, board), _names(air, mono, settings), _priors(start, air, mono, settings))
+        fit = problem.solve(start, [poses[i] for i in dry])
+        start, solved = fit.rig, dict(zip(dry, fit.poses, strict=True))
     check_focal_lengths(start, views, board)
     start = _with_port(start, views, settings)
-    if air_fit is not None:  # the lenses are known now
-        solved = dict(zip(dry, air_fit.poses, strict=True))
+    if solved:
         poses = [solved.get(i) or view_pose(start, v, board) or poses[i] for i, v in enumerate(views)]
     names, priors = _names(views, mono, settings), _priors(start, views, mono, settings)
     found = without_outliers(views, board, lambda kept: Problem(kept, names, priors), start, poses)
     rig = _finished(found.fit, settings)
     gone = tuple(found.left_out)
     return CameraCalibration(
-        rig, found.fit, board, found.problem, tuple(found.views), mono, gone, found.corners_left_out, settings, air_fit
+        rig, found.fit, board, found.problem, tuple(found.views), mono, gone, found.corners_left_out, settings
     )
 
 
@@ -122,6 +122,8 @@ def _start(views: Sequence[BoardView], board: Board, size: tuple[int, int], mono
         lenses[side] = camera_from(sets, board, size) if sets else lenses["left"]
     seen = {side: [_pose(lenses[side], v.corners(side), board) for v in views] for side in SIDES}
     pairs = [(a, b) for a, b, v in zip(seen["left"], seen["right"], views, strict=True) if a and b and v in basis]
+    if not pairs and not mono:
+        raise InputError("no pair shows the board in both images", "", "check that left and right images go together")
     T = Pose.identity() if mono else between(*map(list, zip(*pairs, strict=True)))
     if not mono:
         check_sides(T)
@@ -151,7 +153,8 @@ def _with_port(rig: Rig, views: Sequence[BoardView], settings: CameraSettings) -
         return rig
     thickness = GUESSED_LAYER[LAYER_NAMES[0]].mean if settings.port_thickness_m is None else settings.port_thickness_m
     index = GUESSED_LAYER[LAYER_NAMES[1]].mean if settings.port_index is None else settings.port_index
-    port = LayeredPort((0, 0, 1), _START_DISTANCE_M, ((thickness, index),), settings.index_prior.mean)
+    ahead_m = max(0.0, float(rig.T_left_right.t_m[2]))  # of the right pupil; both are behind the glass
+    port = LayeredPort((0, 0, 1), _START_DISTANCE_M + ahead_m, ((thickness, index),), settings.index_prior.mean)
     return dataclasses.replace(rig, port=port)
 
 

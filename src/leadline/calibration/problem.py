@@ -25,6 +25,8 @@ _SETTLED = 1e-7  # relative decrease of the cost
 _ROUNDS = 6  # of the noise estimate
 _SAME_NOISE = 0.01
 _MAX_DAMPING = 1e10
+_LOWEST = {"port.distance_m": 1e-4, "port.layers[0].thickness_m": 1e-5, "port.layers[0].index": 1.0, "water.index": 1.0}
+"""A step that would leave what a port can be stops at its border, so that the other parameters still move."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,6 +108,7 @@ class Problem:
     def __init__(self, sights: Sequence[Sight], names: tuple[str, ...], priors: dict[str, Prior] | None = None) -> None:
         self.sights, self.names, self.priors = tuple(sights), names, priors or {}
         self._groups = _grouped(self.sights)
+        self._lowest = np.array([_LOWEST.get(name, -np.inf) for name in names])
 
     def solve(self, rig: Rig, poses: Sequence[Pose], *, sigma_px: float | None = None, robust: bool = True) -> Fit:
         """The most likely rig and poses from a start. With ``sigma_px`` the corners' noise is taken as known."""
@@ -148,7 +151,8 @@ class Problem:
     def _stepped(self, state: _State, globals_: Array, locals_: Array, sigma: float, robust: bool) -> _State | None:
         """The state after a step; None where there is no such rig (a port behind a pupil)."""
         try:
-            rig = replaced(state.rig, self.names, get(state.rig, self.names) + globals_)
+            values = np.maximum(get(state.rig, self.names) + globals_, self._lowest)
+            rig = replaced(state.rig, self.names, values)
         except ValueError:
             return None
         R = np.array([turn(step[:3]) @ old for step, old in zip(locals_, state.R, strict=True)])

@@ -46,6 +46,8 @@ def verdict(calibration: CameraCalibration, halves: Halves | None, suggested: Su
     if grave and not light and suggested:
         return Verdict(False, tuple(grave), str(suggested))
     action = str(suggested) if suggested else "check the rig on boards that it has not seen: leadline calibrate check"
+    if calibration.rig.port is not None and Medium.WATER not in calibration.media():
+        action = "take 15 or more images of the board in water"
     return Verdict(not grave, (*grave, *light), action)
 
 
@@ -186,6 +188,6 @@ def _strange(calibration: CameraCalibration) -> list[str]:
             out.append(f"the port comes out {port.distance_m * 1e3:.0f} mm before the cameras: check the board's size")
     if calibration.media() == {Medium.WATER}:
         out.append(f"no images in air: {_without_air(calibration)}")
-    if calibration.rig.port is None:
+    if Medium.WATER not in calibration.media():
         out.append("no images in water: this rig is for air; behind a port in water it would be wrong by a quarter")
     return out
