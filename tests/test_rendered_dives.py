@@ -21,22 +21,11 @@ BALL = "sphere:0.34"
 MEAN_M = {"clear": 0.006, "turbid": 0.015}
 
 
-def stamps_and_ranges(dive: Path, every: int = 1) -> dict[int, float]:
-    """Stamps, ns, and true ranges, m, of every n-th frame."""
+def stamps_and_ranges(dive: Path) -> dict[int, float]:
+    """Stamps, ns, and true ranges, m, of the frames."""
     with (dive / "truth.csv").open() as file:
         rows = [(round(float(row["t_s"]) * 1e9), float(row["range_m"])) for row in csv.DictReader(file)]
-    return dict(rows[::every])
-
-
-def thinned(dive: Path, out: Path, every: int) -> Path:
-    """The same dive with every n-th frame and all readings."""
-    out.mkdir()
-    for path in dive.iterdir():
-        if path.name != "frames.csv":
-            (out / path.name).symlink_to(path)
-    header, *rows = (dive / "frames.csv").read_text().splitlines()
-    (out / "frames.csv").write_text("\n".join([header, *rows[::every]]) + "\n")
-    return out
+    return dict(rows)
 
 
 def last_rows(solutions: list[Solution], truth: dict[int, float]) -> list[Solution]:
@@ -79,13 +68,11 @@ def test_filtered_with_the_papers_method_beside(data_dir: Path, tmp_path: Path, 
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("every", [2, pytest.param(1, marks=pytest.mark.long)])
 @pytest.mark.parametrize("water", ["clear", "turbid"])
-def test_every_frame_alone(data_dir: Path, tmp_path: Path, water: str, every: int) -> None:
-    whole = data_dir / "rendered_dives" / f"approach_ball_{water}"
-    dive = thinned(whole, tmp_path / "dive", every)
+def test_every_frame_alone(data_dir: Path, tmp_path: Path, water: str) -> None:
+    dive = data_dir / "rendered_dives" / f"approach_ball_{water}"
     run(build_job(str(dive), rig_file="rendered", target=BALL, filtered=False), tmp_path / "run")
-    truth = stamps_and_ranges(whole, every)
+    truth = stamps_and_ranges(dive)
     error, sigma = errors_and_sigmas(last_rows(read_solutions(tmp_path / "run" / "solutions.csv"), truth), truth)
     assert np.abs(error).mean() <= 2 * MEAN_M[water]
     assert np.median(sigma) <= 1.5 * np.sqrt((error**2).mean())
