@@ -89,13 +89,13 @@ def _rig(source: Source, rig_file: str | None, water_state: str | None) -> Rig:
     if water_state is None:
         return rig
     try:
-        return rig.in_water(Water.from_state(_water_state(water_state), rig.laser_wavelength_nm))
+        return rig.in_water(Water.from_state(parse_water_state(water_state), rig.laser_wavelength_nm))
     except ValueError as error:
         fix = "use salinity=0,temperature=20,depth=0"
         raise InputError(str(error), f"--water-state {water_state}", fix) from error
 
 
-def _water_state(text: str) -> WaterState:
+def parse_water_state(text: str) -> WaterState:
     """`salinity=35,temperature=12,depth=30` (psu, C, m), in any order; what is left out is 0, but the temperature."""
     values: dict[str, float] = {}
     for part in text.split(","):

@@ -29,7 +29,7 @@ from leadline.calibration.views import BoardView
 from leadline.calibration.virtual_focal import VirtualFocal, virtual_focal
 from leadline.errors import InputError
 from leadline.evaluation.laser_report import Table, write_laser_page
-from leadline.pipeline.build import _water_state as parse_water_state
+from leadline.pipeline.build import parse_water_state
 from leadline.pipeline.calibrate_cameras import now
 from leadline.rig import Rig
 from leadline.samples import Sample, StereoFrame
