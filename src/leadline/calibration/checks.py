@@ -9,14 +9,16 @@ import numpy as np
 
 from leadline.calibration.board import Board
 from leadline.calibration.derivatives import Medium
-from leadline.calibration.start import camera_from
-from leadline.calibration.views import BoardView
+from leadline.calibration.problem import Prior, Problem
+from leadline.calibration.start import camera_from, view_pose
+from leadline.calibration.views import BoardView, lens_names, sights_of
 from leadline.errors import InputError
-from leadline.geometry import Pose
+from leadline.geometry import Camera, Pose
 from leadline.rig import Rig
 
 FEWEST = 3
 """Views of one medium, below which its parameters are not fixed at all."""
+_SURELY_LONGER = 1.25  # focal lengths from homographies alone err by a tenth
 _BASELINE_M = (0.005, 5.0)
 
 
@@ -42,14 +44,26 @@ def check_sides(T_right_left: Pose) -> None:
 
 def check_focal_lengths(rig: Rig, views: Sequence[BoardView], board: Board) -> None:
     """InputError where the images in water do not look longer by the water's index than those in air."""
-    sets = [v.left for v in views if v.medium is Medium.WATER and v.left is not None]
-    if not sets or len(sets) == len(views):
+    wet = [v for v in views if v.medium is Medium.WATER and v.left is not None]
+    if not wet or all(v.medium is Medium.WATER for v in views):
         return
-    size = (rig.left.width, rig.left.height)
-    ratio = camera_from(sets, board, size).fx / rig.left.fx
+    ratio = _pinhole(wet, board, rig.left).fx / rig.left.fx
     if ratio < 0.85:
         raise InputError("the images in water were taken in air, those in air in water", "", "swap --air and --water")
     if ratio < 1.13:
         what = f"the images in water look as in air (focal lengths' ratio {ratio:.2f}, in water 1.34)"
         fix = "the board must be in the water, beyond the glass"
         raise InputError(what, "--water", fix)
+
+
+def _pinhole(views: Sequence[BoardView], board: Board, like: Camera) -> Camera:
+    """The pinhole that explains the left images best, whatever they were taken in."""
+    alone = [BoardView(v.name, Medium.AIR, v.left) for v in views]
+    lens = camera_from([v.left for v in views if v.left is not None], board, (like.width, like.height))
+    if lens.fx > _SURELY_LONGER * like.fx:
+        return lens
+    rig = Rig(lens, lens, Pose.identity())
+    poses = [view_pose(rig, view, board) or Pose(np.eye(3), [0.0, 0.0, 1.0]) for view in alone]
+    names = lens_names("left")
+    priors = {name: Prior(0.0, 0.5) for name in names if "distortion" in name}
+    return Problem(sights_of(alone, board), names, priors).solve(rig, poses).rig.left
