@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from leadline.config import Config
-from leadline.ranging.outline import OutlineRanger, OutlineSettings
+from leadline.ranging.outline import OutlineRanger
 from leadline.ranging.stereo import Pair
 from leadline.samples import Array, Measurement, Rejected, StereoFrame
 from leadline.simulation.dive import SimulatedDive
@@ -16,7 +16,7 @@ from leadline.simulation.scenario import Scenario
 from leadline.target import Sphere
 
 RADIUS_M = 0.17
-SETTINGS = OutlineSettings(**Config().outline.model_dump())
+SETTINGS = Config().outline
 
 
 @cache

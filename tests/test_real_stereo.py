@@ -19,7 +19,7 @@ from leadline.config import Config
 from leadline.geometry import Camera, Pose
 from leadline.localizer import Localizer
 from leadline.ranging.shape_fit import Points
-from leadline.ranging.stereo import StereoRanger, StereoSettings
+from leadline.ranging.stereo import StereoRanger
 from leadline.ranging.surface_fit import fit_surface
 from leadline.recognition.boxes import Boxes
 from leadline.rig import Rig
@@ -76,7 +76,7 @@ def opencv_triangulates(left_px: Array, right_px: Array) -> Array:
 
 def test_the_same_points_as_opencv(dive: Path) -> None:
     rig = Rig.load(dive / "rig.yaml")
-    ranger = Recorder(rig, Surface(), StereoSettings(**Config().stereo.model_dump()))
+    ranger = Recorder(rig, Surface(), Config().stereo)
     localizer = Localizer(rig, Surface(), Boxes(dive / "boxes.json"), filtered=False)
     localizer._stereo = ranger
     for frame in open_source(str(dive)):

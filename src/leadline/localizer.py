@@ -21,8 +21,8 @@ from leadline.estimation import Estimate, Filter, FilterSettings
 from leadline.ranging.beam import BeamRanger
 from leadline.ranging.calibration_error import CalibrationError
 from leadline.ranging.coarse import Box
-from leadline.ranging.outline import OutlineRanger, OutlineSettings
-from leadline.ranging.stereo import Pair, Prior, StereoRanger, StereoSettings
+from leadline.ranging.outline import OutlineRanger
+from leadline.ranging.stereo import Pair, Prior, StereoRanger
 from leadline.recognition.spot import find_spot
 from leadline.recognition.track import choose, iou
 from leadline.recognition.view import WholeView
@@ -74,7 +74,7 @@ class Localizer:
         self._config = config or Config()
         self._filtered = filtered
         self._filter = Filter(FilterSettings(**self._config.filter.model_dump()))
-        self._stereo = StereoRanger(rig, self._target, StereoSettings(**self._config.stereo.model_dump()))
+        self._stereo = StereoRanger(rig, self._target, self._config.stereo)
         self._outline = self._make_outline()
         self._beam = None if rig.laser is None else BeamRanger(rig, self._target)
         self._calibration = CalibrationError(rig)
@@ -116,7 +116,7 @@ class Localizer:
     def _make_outline(self) -> OutlineRanger | None:
         if not isinstance(self._target, Sphere):
             return None
-        return OutlineRanger(self._rig, self._target, OutlineSettings(**self._config.outline.model_dump()))
+        return OutlineRanger(self._rig, self._target, self._config.outline)
 
     def _forget(self) -> None:
         self._filter.stop()

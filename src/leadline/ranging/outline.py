@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from leadline.config import OutlineConfig
 from leadline.ranging.images import Float32, Spline, grey
 from leadline.ranging.stereo import Pair
 from leadline.rig import Rig, Side
@@ -25,16 +26,6 @@ ITERATIONS = 10
 NEIGHBOURS = 3  # an edge is averaged over three normals, so that as many share their noise
 MAX_CONDITION = 1e7
 MIN_AGREED = 0.4
-
-
-@dataclass(frozen=True, slots=True)
-class OutlineSettings:
-    """``config.OutlineConfig`` documents these."""
-
-    reach: tuple[float, ...] = (0.15, 0.05)
-    min_edges: int = 40
-    edge_sigma_px: float = 0.3
-    bias_sigma_px: float = 0.4
 
 
 def _pixels(image: Image, q_px: Array) -> Array:
@@ -58,7 +49,7 @@ class _Edges:
 class OutlineRanger:
     """Measurement ``size`` of a sphere: its centre, and its radius where that is not known."""
 
-    def __init__(self, rig: Rig, target: Sphere, settings: OutlineSettings) -> None:
+    def __init__(self, rig: Rig, target: Sphere, settings: OutlineConfig) -> None:
         self._rig, self._target, self._settings = rig, target, settings
 
     def measure(self, t_ns: int, pair: Pair, x: Array) -> Measurement | Rejected:

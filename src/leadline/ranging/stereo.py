@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import RBFInterpolator
 
+from leadline.config import StereoConfig
 from leadline.ranging.coarse import Box, coarse_points
 from leadline.ranging.images import Float32, grey, shrink, to_full, to_level
 from leadline.ranging.patches import Warp, bend_terms, refine, search
@@ -25,20 +26,6 @@ SURFACE_INNER = 0.9
 MAX_MISFIT = 30.0  # patches this far off their sigmas hold another shape: a pile and the sand behind it
 BOX_SIGMA = 0.2  # how well a box tells a ball's size
 LengthAt = Callable[[Array], Array]  # left pixels (N, 2), full size -> predicted length along their rays (N,)
-
-
-@dataclass(frozen=True, slots=True)
-class StereoSettings:
-    """``config.StereoConfig`` documents these."""
-
-    patches: int = 120
-    half_px: int = 15
-    min_half_px: int = 4
-    target_px: int = 350
-    max_sigma_px: float = 0.6
-    min_correlation: float = 0.3
-    min_agreed: int = 6
-    roughness_m: float = 0.0005
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +51,7 @@ class Prior:
 
 
 class StereoRanger:
-    def __init__(self, rig: Rig, target: Target, settings: StereoSettings) -> None:
+    def __init__(self, rig: Rig, target: Target, settings: StereoConfig) -> None:
         self._rig, self._target, self._settings = rig, target, settings
         beam = rig.laser
         self._beam = None if beam is None else (np.asarray(beam.origin_m), np.asarray(beam.direction))
