@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from leadline.ranging.calibration_error import CalibrationError
 from leadline.ranging.coarse import Box
 from leadline.ranging.outline import OutlineRanger
 from leadline.ranging.stereo import Pair, Prior, StereoRanger
+from leadline.recognition.finder import Finder
 from leadline.recognition.spot import find_spot
 from leadline.recognition.track import choose, iou
 from leadline.recognition.view import WholeView
@@ -45,12 +45,6 @@ from leadline.target import Sphere, Surface, Target
 
 POOR = 0.1  # a range less certain than this part of itself is no prediction
 VISION, BEAM = frozenset({Kind.STEREO, Kind.SIZE}), frozenset({Kind.LASER, Kind.SPOT})
-
-
-class Finder(Protocol):
-    """What tells where in the left image the target is: a detector, boxes from a file, the whole view."""
-
-    def find(self, frame: StereoFrame) -> list[Detection]: ...
 
 
 class Localizer:
@@ -195,7 +189,7 @@ class Localizer:
             seen: dict[Side, tuple[Array, Array]] = {}
             for side, image in (("left", frame.left), ("right", frame.right)):
                 _, curve_px = self._beam.curve(side, max(0.8 * length, config.nearest_m), 1.25 * length)  # type: ignore[arg-type]
-                focal_px = self._rig.left.fx * (1.0 if self._rig.port is None else self._rig.port.outside_index)
+                focal_px = self._rig.focal_outside_px
                 spot = find_spot(image, curve_px, config.spot_radius_m * focal_px / length)
                 if spot is not None:
                     seen[side] = (spot.q_px, spot.cov_px2)  # type: ignore[index]
@@ -283,7 +277,7 @@ class Localizer:
         """Errors common to all frames, the calibration's above all: they bound how certain averaging may become."""
         status, distance = self._config.status, float(np.linalg.norm(estimate.x[:3]))
         sight = estimate.x[:3] / distance
-        focal_px = self._rig.left.fx * (1.0 if self._rig.port is None else self._rig.port.outside_index)
+        focal_px = self._rig.focal_outside_px
         bias_m = distance**2 * status.bias_px / (focal_px * self._rig.baseline_m)
         calibration = self._calibration.at(estimate.x[:3])
         along = bias_m**2 + float(sight @ calibration @ sight)

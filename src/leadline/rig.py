@@ -82,6 +82,11 @@ class Rig:
     def baseline_m(self) -> float:
         return float(np.linalg.norm(self.T_right_left.t_m))
 
+    @property
+    def focal_outside_px(self) -> float:
+        """The left camera's focal length as the water shows it near the axis, px; in air its own."""
+        return self.left.fx * (1.0 if self.port is None else self.port.outside_index)
+
     @cached_property
     def T_left_right(self) -> Pose:
         return self.T_right_left.inverse()

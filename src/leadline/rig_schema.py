@@ -6,7 +6,6 @@ Lengths are metres, pixels count from the centre of the top-left one, the frame 
 
 from __future__ import annotations
 
-import os
 import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,6 +15,7 @@ import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from leadline.errors import InputError
+from leadline.files import write_whole
 
 HEADER = """\
 # leadline rig file. Metres, pixels, degrees Celsius; frames: x right, y down, z forward; pixel (0, 0) is the centre of
@@ -225,10 +225,4 @@ def _first_fault(error: ValidationError) -> str:
 def write(path: Path, data: dict[str, Any]) -> None:
     """Write a rig file whole or not at all. InputError where the folder cannot be written."""
     text = HEADER + yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True)
-    beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        beside.write_text(text, encoding="utf-8")
-        beside.replace(path)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
-        raise InputError(f"cannot be written ({error.strerror})", str(path), "check the folder") from error
+    write_whole(path, text)

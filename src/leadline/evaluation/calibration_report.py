@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
@@ -16,8 +15,8 @@ from leadline.calibration.comparison import DISTANCES_M, ModelError, calibration
 from leadline.calibration.derivatives import Medium
 from leadline.calibration.verdict import Verdict, band_mm, depth_limits
 from leadline.calibration.views import SIDES
-from leadline.errors import InputError
 from leadline.evaluation.svg import INK, Curve, arrows, bars, log_chart, picture
+from leadline.files import write_whole
 from leadline.rig import Side
 from leadline.rig_parameters import get
 
@@ -78,13 +77,7 @@ def write_page(
         next_action=escape(verdict.next_action),
         sections="\n".join(section for section in sections if section),
     )
-    beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        beside.write_text(page, encoding="utf-8")
-        beside.replace(path)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
-        raise InputError(f"cannot be written ({error.strerror})", str(path), "check the folder") from error
+    write_whole(path, page)
 
 
 def _section(title: str, body: str, note: str = "") -> str:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 from string import Template
 
-from leadline.errors import InputError
+from leadline.files import write_whole
 
 _TEMPLATE = Path(__file__).with_name("calibration_report.html")
 _GREEN = "#2a7d4f"
@@ -28,13 +27,7 @@ def write_laser_page(path: Path, title: str, lines: Sequence[str], tables: Seque
         next_action=escape(next_action),
         sections="\n".join(_table(*table) for table in tables),
     )
-    beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        beside.write_text(page, encoding="utf-8")
-        beside.replace(path)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
-        raise InputError(f"cannot be written ({error.strerror})", str(path), "check the folder") from error
+    write_whole(path, page)
 
 
 def _table(title: str, heads: Sequence[str], rows: Sequence[tuple[str, ...]]) -> str:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 
 from leadline.config import Config
 from leadline.paper.matching import NEIGHBOURS, match_block, smooth
 from leadline.paper.pinhole_pair import PinholePair
 from leadline.paper.spot import find_spots
+from leadline.recognition.finder import Finder
 from leadline.rig import Rig
 from leadline.samples import (
     NS_PER_S,
@@ -26,10 +25,6 @@ from leadline.samples import (
     StereoFrame,
 )
 from leadline.target import Target
-
-
-class Finder(Protocol):
-    def find(self, frame: StereoFrame) -> list[Detection]: ...
 
 
 class PaperLocalizer:

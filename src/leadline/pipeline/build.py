@@ -11,8 +11,9 @@ from leadline.errors import InputError
 from leadline.localizer import Localizer
 from leadline.paper import PaperLocalizer
 from leadline.recognition.boxes import Boxes
+from leadline.recognition.finder import Finder
 from leadline.rig import Rig, shipped_rigs
-from leadline.samples import Detection, Sample, Solution, StereoFrame
+from leadline.samples import Detection, Sample, Solution
 from leadline.sources import Source, open_source, require_size
 from leadline.sources.simulated import SimulatedSource
 from leadline.target import Cylinder, Plane, Sphere, Surface, Target, parse_target
@@ -27,10 +28,6 @@ class Steps(Protocol):
     detections: list[Detection]
 
     def step(self, sample: Sample) -> Solution | None: ...
-
-
-class Finder(Protocol):
-    def find(self, frame: StereoFrame) -> list[Detection]: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
