@@ -401,3 +401,21 @@ def test_corners_found_in_the_rendered_pictures_lie_where_the_rig_says(data_dir:
     assert max(misfits["right"]) < 0.2, misfits
     assert np.mean(misfits["index"]) > 1, misfits
     assert min(misfits["tilt"]) > 5, misfits
+
+
+@pytest.mark.parametrize("name", ["rendered", "paper"])
+def test_with_target_motion_the_right_camera_sees_the_target_where_it_went(name: str) -> None:
+    """Projection, its derivative and the right rays agree; triangulation gives the place at the left exposure."""
+    rig = Rig.load(name)
+    d_m, p_m = np.array([0.004, -0.003, -0.006]), np.array([[0.05, 0.1, 0.9], [-0.1, 0.0, 0.5]])
+    moved = rig.with_target_motion(d_m)
+    left_px, right_px = rig.project(p_m)[0], rig.project(p_m + d_m)[1]
+    np.testing.assert_allclose(moved.project(p_m), (left_px, right_px), atol=1e-9)
+    seen_px, jacobian = moved.project_with_jacobian(p_m, "right")
+    np.testing.assert_allclose(seen_px, right_px, atol=1e-9)
+    np.testing.assert_allclose(jacobian, rig.project_with_jacobian(p_m + d_m, "right")[1])
+    origins, directions = moved.rays(right_px, "right")
+    np.testing.assert_allclose(np.cross(p_m - origins, directions), 0, atol=1e-9)
+    np.testing.assert_allclose(moved.triangulate(left_px, right_px)[0], p_m, atol=1e-7)
+    assert np.abs(rig.triangulate(left_px, right_px)[0] - p_m).max() > 0.01
+    assert moved.laser is rig.laser

@@ -62,6 +62,7 @@ class Rig:
     T_body_left: Pose = field(default_factory=Pose.identity)
     covariance: RigCovariance = field(default_factory=RigCovariance)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    target_motion_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # see ``with_target_motion``; not of the rig's file
 
     def __post_init__(self) -> None:
         _ = self._right_port  # a right camera outside the port is a fault now, not at the first frame
@@ -92,6 +93,10 @@ class Rig:
         return self.T_right_left.inverse()
 
     @cached_property
+    def _shift_m(self) -> Array:
+        return np.array(self.target_motion_m)
+
+    @cached_property
     def _right_port(self) -> LayeredPort | None:
         return None if self.port is None else self.port.seen_from(self.T_right_left)
 
@@ -101,7 +106,7 @@ class Rig:
         NaN where a point is behind a camera, inside the port or beyond the lens's field.
         """
         points = as_rows(points_m, 3)
-        in_right = self.T_right_left.apply(points)
+        in_right = self.T_right_left.apply(points + self._shift_m)
         if self.port is None or self._right_port is None:
             return self.left.project(points), self.right.project(in_right)
         return self.port.project(self.left, points), self._right_port.project(self.right, in_right)
@@ -110,7 +115,7 @@ class Rig:
         """Pixels (N, 2) of one camera and d(pixel)/d(point in the left frame) (N, 2, 3), px/m."""
         lens, port = self._side(camera)
         points = as_rows(points_m, 3)
-        here = points if camera == "left" else self.T_right_left.apply(points)
+        here = points if camera == "left" else self.T_right_left.apply(points + self._shift_m)
         pixels, jacobian = lens.project_with_jacobian(here) if port is None else port.project_with_jacobian(lens, here)
         return pixels, jacobian if camera == "left" else jacobian @ self.T_right_left.R
 
@@ -125,7 +130,7 @@ class Rig:
             origins, directions = port.rays(lens, pixels_px)
         if camera == "left":
             return origins, directions
-        return self.T_left_right.apply(origins), self.T_left_right.rotate(directions)
+        return self.T_left_right.apply(origins) - self._shift_m, self.T_left_right.rotate(directions)
 
     def triangulate(self, left_px: ArrayLike, right_px: ArrayLike, sigma_px: ArrayLike = 0.1) -> tuple[Array, Array]:
         """Pixels (N, 2), (N, 2) -> points (N, 3), m, left frame, and covariance (N, 3, 3), m^2, of the pixels' noise.
@@ -154,6 +159,18 @@ class Rig:
         port = dataclasses.replace(self.port, outside_index=water.index)
         laser = None if self.laser is None else dataclasses.replace(self.laser, group_index=water.group_index)
         return dataclasses.replace(self, port=port, water=water, laser=laser)
+
+    def with_target_motion(self, d_left_m: ArrayLike) -> Rig:
+        """The rig for a target that moves by d (3,), m, left frame, from the left exposure to the right one.
+
+        The right camera sees every point p at p + d, so that triangulation gives the place at the left exposure. What
+        does not move with the target (the laser) is untouched.
+        """
+        x, y, z = (float(value) for value in np.asarray(d_left_m))
+        moved = dataclasses.replace(self, target_motion_m=(x, y, z))
+        for name in ("_right_port", "T_left_right"):  # computed once for all frames
+            moved.__dict__[name] = getattr(self, name)
+        return moved
 
     def scaled(self, factor: float) -> Rig:
         """The rig for images resized by ``factor``: everything in pixels scales, its covariance too."""

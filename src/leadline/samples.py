@@ -24,7 +24,8 @@ class StereoFrame:
     """One exposure of both cameras.
 
     ``t_ns`` is the middle of the exposure, ``arrival_ns`` when the frame reached us (None: at ``t_ns``). ``left_t_ns``
-    and ``right_t_ns`` are set where the two exposures are known to differ. Images: (H, W, 3) uint8 BGR or (H, W) uint8.
+    and ``right_t_ns`` are set where the two exposures are known to differ; what is measured is then measured at
+    ``left_t_ns``, while ``t_ns`` names the frame and its solution. Images: (H, W, 3) uint8 BGR or (H, W) uint8.
     ``encoded`` holds the source's own compressed bytes (left, right), so that a recording is bit for bit the source.
     """
 
@@ -49,6 +50,26 @@ class LaserRange:
     t_ns: int
     range_m: float
     quality: float | None = None
+    arrival_ns: int | None = None
+
+    @property
+    def t_s(self) -> float:
+        return self.t_ns / NS_PER_S
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleMotion:
+    """How the vehicle moves (a DVL, a gyroscope), in the LEFT CAMERA's frame; None: not measured.
+
+    velocity_m_s: of the camera through the water's bottom, (3,). rotation_rad_s: the camera's, (3,), right-handed. The
+    sigmas are of each component: white noise of the reading, to which a sensor's own bias must have been added.
+    """
+
+    t_ns: int
+    velocity_m_s: Array | None = None
+    rotation_rad_s: Array | None = None
+    velocity_sigma_m_s: float = 0.02
+    rotation_sigma_rad_s: float = 0.005
     arrival_ns: int | None = None
 
     @property
