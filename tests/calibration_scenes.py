@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 
 from leadline.calibration.board import Board, Corners
-from leadline.calibration.derivatives import Medium, project
 from leadline.calibration.views import SIDES, BoardView
 from leadline.geometry import Camera, LayeredPort, Pose
 from leadline.rig import Rig
+from leadline.rig_derivatives import Medium, project
 from leadline.rig_parameters import turn
 from leadline.samples import Array
 

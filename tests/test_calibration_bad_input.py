@@ -12,12 +12,12 @@ import pytest
 from calibration_scenes import BOARD, SIZE, board_views, random_rig
 from leadline.calibration.board import Board, find_corners
 from leadline.calibration.cameras import CameraCalibration, calibrate_cameras
-from leadline.calibration.derivatives import Medium
 from leadline.calibration.heldout import check_rig
 from leadline.calibration.verdict import Verdict, best_images, cross_check, verdict
 from leadline.calibration.views import BoardView
 from leadline.errors import InputError
 from leadline.rig import Rig
+from leadline.rig_derivatives import Medium
 from leadline.wire.calibration_folder import read_calibration_folder
 
 Views = list[BoardView]

@@ -14,13 +14,13 @@ import yaml
 from leadline.calibration.board import Board, find_corners
 from leadline.calibration.cameras import CameraCalibration, CameraSettings, calibrate_cameras
 from leadline.calibration.comparison import pinhole_in_water
-from leadline.calibration.derivatives import Medium
 from leadline.calibration.heldout import check_rig
 from leadline.calibration.verdict import verdict
 from leadline.calibration.views import BoardView
 from leadline.cli import main
 from leadline.pipeline.calibrate_cameras import find_boards
 from leadline.rig import Rig
+from leadline.rig_derivatives import Medium
 from leadline.water import WaterState
 
 pytestmark = pytest.mark.data

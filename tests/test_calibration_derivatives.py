@@ -7,10 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from leadline.calibration.derivatives import Medium, by_parameters, point_sensitivity, project
 from leadline.geometry import Camera, LayeredPort, Pose
-from leadline.ranging.calibration_error import position_sensitivity
 from leadline.rig import Rig, Side
+from leadline.rig_derivatives import Medium, by_parameters, point_sensitivity, project
 from leadline.rig_parameters import get, replaced, turn
 
 NAMES = [
@@ -62,8 +61,29 @@ def test_a_rig_without_port_is_refused_in_water(rig: Rig) -> None:
 
 def test_a_triangulated_points_sensitivity_by_two_ways(rig: Rig) -> None:
     points = np.array([[0.1, -0.05, 0.6], [0.0, 0.1, 1.4]])
-    by_differences = position_sensitivity(rig, points, NAMES)
-    np.testing.assert_allclose(point_sensitivity(rig, points, NAMES), by_differences, rtol=2e-4, atol=2e-5)
+    seen, values = rig.project(points), get(rig, NAMES)
+    analytic = point_sensitivity(rig, points, NAMES)
+    for i, name in enumerate(NAMES):
+        step = 1e-6 * max(1.0, abs(values[i]))
+        up, down = (replaced(rig, [name], [values[i] + s]).triangulate(*seen)[0] for s in (step, -step))
+        np.testing.assert_allclose(analytic[:, :, i], (up - down) / (2 * step), rtol=2e-4, atol=2e-5, err_msg=name)
+
+
+@pytest.mark.parametrize("terms", [8, 12])
+def test_lenses_of_more_terms(rig: Rig, terms: int) -> None:
+    k = (-0.2, 0.1, 1e-3, -2e-3, -0.02, 0.05, -0.03, 0.01, 1e-3, -5e-4, 7e-4, 2e-4)[:terms]
+    wide = dataclasses.replace(rig, left=dataclasses.replace(rig.left, distortion=k))
+    points = np.array([[0.2, -0.1, 0.9], [-0.3, 0.2, 1.5]])
+    names = [f"left.distortion[{i}]" for i in range(terms)]
+    pixels, by_point = project(wide, "left", Medium.WATER, points)
+    analytic = by_parameters(wide, "left", Medium.WATER, points, pixels, by_point, names)
+    for i, name in enumerate(names):
+        up, down = (project(replaced(wide, [name], [k[i] + s]), "left", Medium.WATER, points)[0] for s in (1e-6, -1e-6))
+        np.testing.assert_allclose(analytic[:, :, i], (up - down) / 2e-6, rtol=1e-5, atol=1e-4, err_msg=name)
+
+
+def test_the_normals_third_component_follows_its_others(rig: Rig) -> None:
+    assert not point_sensitivity(rig, np.array([[0.1, -0.05, 0.6]]), ["port.normal[2]"]).any()
 
 
 def test_a_point_behind_the_glass_has_no_sensitivity(rig: Rig) -> None:

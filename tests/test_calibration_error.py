@@ -66,10 +66,10 @@ def test_quick_enough_for_every_frame() -> None:
     error = CalibrationError(uncertain_rig())
     times = []
     for _ in range(20):
-        start = time.perf_counter()
+        start = time.process_time()
         error.at(POINT)
-        times.append(time.perf_counter() - start)
-    assert min(times) < 1e-3
+        times.append(time.process_time() - start)
+    assert min(times) < 3e-4
 
 
 def test_an_exact_rig_adds_nothing() -> None:

@@ -13,12 +13,12 @@ from calibration_scenes import BOARD, corners, random_pose
 from laser_scenes import air_rig
 from leadline.calibration.board import Board, find_corners
 from leadline.calibration.cameras import calibrate_cameras
-from leadline.calibration.derivatives import Medium
 from leadline.calibration.laser import LASER
 from leadline.calibration.laser_board import BoardReading, calibrate_laser_board, with_laser
 from leadline.calibration.views import BoardView
 from leadline.errors import InputError
 from leadline.geometry import Pose
+from leadline.rig_derivatives import Medium
 from leadline.rig_parameters import get, replaced
 
 SIGMA_M = 0.003

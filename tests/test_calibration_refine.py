@@ -12,7 +12,6 @@ from laser_scenes import AIR_Z_M, WATER_Z_M, air_rig, painted_dive, stations, tr
 from leadline.calibration import laser as laser_module
 from leadline.calibration.board import Board
 from leadline.calibration.cameras import calibrate_cameras
-from leadline.calibration.derivatives import Medium
 from leadline.calibration.laser import LASER, calibrate_laser
 from leadline.calibration.refine import DISTANCES_M, PortGuess, Refinement, depth_sigmas, refine, refine_stations
 from leadline.calibration.refine import with_guessed_port as put_in_water
@@ -22,6 +21,7 @@ from leadline.pipeline.calibrate_cameras import find_boards
 from leadline.ranging.calibration_error import position_cov
 from leadline.rig import Rig
 from leadline.rig_covariance import RigCovariance
+from leadline.rig_derivatives import Medium
 from leadline.rig_parameters import get, replaced
 from leadline.sources import open_source
 from leadline.water import WaterState

@@ -15,11 +15,11 @@ from scipy.stats import chi2
 from calibration_scenes import BOARD, SIZE, board_views, random_rig
 from leadline.calibration.cameras import CameraSettings, calibrate_cameras
 from leadline.calibration.comparison import calibration_sigma_mm, field_points
-from leadline.calibration.derivatives import Medium
 from leadline.calibration.problem import Problem
 from leadline.calibration.views import sights_of
 from leadline.geometry import LayeredPort
 from leadline.rig import Rig
+from leadline.rig_derivatives import Medium
 from leadline.rig_parameters import get
 from leadline.samples import Array
 from leadline.water import WaterState

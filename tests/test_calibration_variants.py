@@ -10,10 +10,10 @@ import pytest
 from calibration_scenes import BOARD, SIZE, board_views, random_rig
 from leadline.calibration.board import Corners
 from leadline.calibration.cameras import CameraCalibration, calibrate_cameras
-from leadline.calibration.derivatives import Medium
 from leadline.calibration.verdict import best_images, cross_check, verdict
 from leadline.calibration.views import BoardView
 from leadline.rig import Rig
+from leadline.rig_derivatives import Medium
 
 NOISE_PX = 0.05
 

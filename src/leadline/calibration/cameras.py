@@ -14,7 +14,6 @@ import numpy as np
 
 from leadline.calibration.board import Board, Corners
 from leadline.calibration.checks import check_focal_lengths, check_sides, check_views
-from leadline.calibration.derivatives import Medium
 from leadline.calibration.outliers import LeftOut, without_outliers
 from leadline.calibration.problem import Fit, Prior, Problem
 from leadline.calibration.start import between, board_pose, camera_from, view_pose
@@ -32,6 +31,7 @@ from leadline.errors import InputError
 from leadline.geometry import Camera, LayeredPort, Pose
 from leadline.rig import Rig, Side
 from leadline.rig_covariance import RigCovariance
+from leadline.rig_derivatives import Medium
 from leadline.water import CHANNEL_NM, Water, WaterState
 
 WIDE_INDEX = Prior(1.338, 0.004)

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from leadline.calibration.board import Board
-from leadline.calibration.derivatives import Medium
 from leadline.calibration.problem import Prior, Problem
 from leadline.calibration.start import camera_from, view_pose
 from leadline.calibration.views import BoardView, lens_names, sights_of
 from leadline.errors import InputError
 from leadline.geometry import Camera, Pose
 from leadline.rig import Rig
+from leadline.rig_derivatives import Medium
 
 FEWEST = 3
 """Views of one medium, below which its parameters are not fixed at all."""

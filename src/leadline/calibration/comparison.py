@@ -15,12 +15,12 @@ import numpy as np
 
 from leadline.calibration.board import Board
 from leadline.calibration.cameras import CameraCalibration
-from leadline.calibration.derivatives import Medium, point_sensitivity
 from leadline.calibration.problem import Fit, Prior, Problem
 from leadline.calibration.start import board_pose
 from leadline.calibration.views import POSE_NAMES, BoardView, lens_names, sights_of
 from leadline.geometry import Camera, Pose
 from leadline.rig import Rig
+from leadline.rig_derivatives import Medium, point_sensitivity
 from leadline.samples import Array
 
 DISTANCES_M = (0.2, 0.5, 1.0, 1.5, 2.2)

@@ -14,7 +14,6 @@ from itertools import pairwise
 import numpy as np
 
 from leadline.calibration.board import Board
-from leadline.calibration.derivatives import Medium
 from leadline.calibration.lengths import BoardLength, Halves, board_lengths, halves, mean_scale
 from leadline.calibration.outliers import Found, without_outliers
 from leadline.calibration.problem import Problem, Sight
@@ -24,6 +23,7 @@ from leadline.calibration.views import BoardView, numbered_alike
 from leadline.errors import InputError
 from leadline.geometry import Pose
 from leadline.rig import Rig
+from leadline.rig_derivatives import Medium
 from leadline.rig_parameters import get
 
 _FOCAL = ("left.fx_px", "left.fy_px", "right.fx_px", "right.fy_px")

@@ -9,11 +9,11 @@ import numpy as np
 
 from leadline.calibration.board import Board
 from leadline.calibration.cameras import CameraCalibration
-from leadline.calibration.derivatives import Medium, point_sensitivity, project
 from leadline.calibration.problem import Problem, Sight
 from leadline.calibration.views import SIDES
 from leadline.geometry import Pose
 from leadline.rig import Rig
+from leadline.rig_derivatives import Medium, point_sensitivity, project
 from leadline.rig_parameters import turn
 from leadline.samples import Array
 

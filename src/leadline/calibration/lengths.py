@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from leadline.calibration.board import Board
-from leadline.calibration.derivatives import point_sensitivity
 from leadline.calibration.views import BoardView
 from leadline.rig import Rig
+from leadline.rig_derivatives import point_sensitivity
 from leadline.samples import Array
 
 SHOWN = 4.0

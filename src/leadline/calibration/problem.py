@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from leadline.calibration.derivatives import Medium, by_parameters, project
 from leadline.geometry import Pose
 from leadline.rig import Rig, Side
+from leadline.rig_derivatives import Medium, by_parameters, project
 from leadline.rig_parameters import get, replaced, turn
 from leadline.samples import Array
 

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 
 from leadline.calibration.board import Board, Corners
-from leadline.calibration.derivatives import SIDES, Medium
 from leadline.calibration.views import BoardView
 from leadline.geometry import Camera, Pose
 from leadline.rig import Rig
+from leadline.rig_derivatives import SIDES, Medium
 from leadline.samples import Array
 
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from leadline.calibration.cameras import CameraCalibration
 from leadline.calibration.comparison import calibration_sigma_mm, field_points
-from leadline.calibration.derivatives import Medium
 from leadline.calibration.information import Suggestion, limits, spread, suggestion, with_air
 from leadline.calibration.lengths import Halves, board_lengths, halves
 from leadline.calibration.views import LAYER_NAMES, SIDES, BoardView
+from leadline.rig_derivatives import Medium
 from leadline.rig_parameters import get
 from leadline.samples import Array
 

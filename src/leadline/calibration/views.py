@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from leadline.calibration.board import Board, Corners, alike
-from leadline.calibration.derivatives import SIDES, Medium
 from leadline.calibration.problem import Sight
 from leadline.rig import Side
+from leadline.rig_derivatives import SIDES, Medium
 
 __all__ = ["LAYER_NAMES", "PORT_NAMES", "POSE_NAMES", "SIDES", "BoardView", "lens_names", "numbered_alike", "sights_of"]
 

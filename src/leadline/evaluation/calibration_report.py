@@ -12,12 +12,12 @@ import numpy as np
 
 from leadline.calibration.cameras import CameraCalibration
 from leadline.calibration.comparison import DISTANCES_M, ModelError, calibration_sigma_mm, field_points
-from leadline.calibration.derivatives import Medium
 from leadline.calibration.verdict import Verdict, band_mm, depth_limits
 from leadline.calibration.views import SIDES
 from leadline.evaluation.svg import INK, Curve, arrows, bars, log_chart, picture
 from leadline.files import write_whole
 from leadline.rig import Side
+from leadline.rig_derivatives import Medium
 from leadline.rig_parameters import get
 
 _TEMPLATE = Path(__file__).with_suffix(".html")

@@ -12,13 +12,13 @@ from pathlib import Path
 from leadline.calibration.board import Board, Corners, find_corners
 from leadline.calibration.cameras import CameraCalibration, CameraSettings, calibrate_cameras
 from leadline.calibration.comparison import ModelError, comparison, pinhole_in_water
-from leadline.calibration.derivatives import Medium
 from leadline.calibration.heldout import HeldOut, check_rig
 from leadline.calibration.verdict import Verdict, best_images, cross_check, verdict
 from leadline.calibration.views import BoardView
 from leadline.errors import InputError
 from leadline.evaluation.calibration_report import write_page
 from leadline.rig import Rig
+from leadline.rig_derivatives import Medium
 from leadline.wire.calibration_folder import CalibrationFolder, read_calibration_folder, read_image
 from leadline.wire.camera_file import write_camera
 from leadline.wire.notice import Notice

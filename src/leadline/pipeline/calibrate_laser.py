@@ -14,7 +14,6 @@ import numpy as np
 from leadline.calibration.beam_fit import BeamFit
 from leadline.calibration.board import Board, find_corners
 from leadline.calibration.cameras import calibrate_cameras
-from leadline.calibration.derivatives import Medium
 from leadline.calibration.laser import LASER, calibrate_laser
 from leadline.calibration.laser_board import (
     BoardBeamFit,
@@ -32,6 +31,7 @@ from leadline.evaluation.laser_report import Table, write_laser_page
 from leadline.pipeline.build import parse_water_state
 from leadline.pipeline.calibrate_cameras import now
 from leadline.rig import Rig
+from leadline.rig_derivatives import Medium
 from leadline.samples import Sample, StereoFrame
 from leadline.sources import Source, open_source
 from leadline.water import WaterState

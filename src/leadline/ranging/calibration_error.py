@@ -1,36 +1,19 @@
 """How far the calibration's own uncertainty moves a measured point.
 
-Pixels q of a true point are explained by a rig whose parameters are off by e: the point that fits them best moves by
-S e, S = -(J^T J)^-1 J^T dq/de with J = dq/dpoint of both cameras (implicit function theorem at the least-squares
-triangulation). The errors are common to all frames: they do not average out, and a filter must not treat them as noise
-of one frame.
+The errors are common to all frames: they do not average out, and a filter must not treat them as noise of one frame.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from leadline.geometry.arrays import as_rows
 from leadline.rig import Rig
-from leadline.rig_parameters import get, replaced
+from leadline.rig_derivatives import point_sensitivity
 from leadline.samples import Array
 
 NEAREST_M, FARTHEST_M, DEPTHS = 0.05, 20.0, 20
 ACROSS = 13  # nodes over the field, each way
-
-
-def position_sensitivity(rig: Rig, points_m: ArrayLike, names: Sequence[str]) -> Array:
-    """d(triangulated point)/d(parameters) (N, 3, k), left frame, for points (N, 3); NaN where one is not seen twice."""
-    points = as_rows(points_m, 3)
-    jacobian = np.concatenate([rig.project_with_jacobian(points, side)[1] for side in ("left", "right")], axis=1)
-    moved = np.stack([_pixel_change(rig, points, name) for name in names], axis=-1)
-    unseen = ~(np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(moved).all(axis=(1, 2)))
-    jacobian[unseen], moved[unseen] = np.eye(4, 3), np.nan
-    return np.asarray(-np.linalg.pinv(jacobian) @ moved)
 
 
 def position_cov(rig: Rig, point_m: ArrayLike) -> Array:
@@ -38,7 +21,7 @@ def position_cov(rig: Rig, point_m: ArrayLike) -> Array:
     names = _stereo_names(rig)
     if not names:
         return np.zeros((3, 3))
-    sensitivity = position_sensitivity(rig, np.asarray(point_m, float)[None], names)[0]
+    sensitivity = point_sensitivity(rig, np.asarray(point_m, float)[None], names)[0]
     return np.asarray(sensitivity @ rig.covariance.of(names) @ sensitivity.T)
 
 
@@ -60,7 +43,7 @@ class CalibrationError:
         self._axes = (z_m, *(np.linspace(*ends, ACROSS) for ends in slopes))
         z, x, y = np.meshgrid(*self._axes, indexing="ij")
         points = np.stack([x * z, y * z, z], axis=-1).reshape(-1, 3)
-        table = position_sensitivity(rig, points, names) @ self._root if names else np.zeros((len(points), 3, 0))
+        table = point_sensitivity(rig, points, names) @ self._root if names else np.zeros((len(points), 3, 0))
         # Divided by the depth, an error of scale or of disparity is linear in z: interpolation is exact for both.
         self._table = (table / points[:, 2, None, None]).reshape(*z.shape, 3, -1)
         self._known = np.isfinite(self._table).all(axis=(-1, -2))
@@ -70,42 +53,20 @@ class CalibrationError:
         """(3, 3) m^2, left frame, for a point (3,) before the cameras; beyond the field, that of the nearest place."""
         p = np.asarray(point_m, dtype=np.float64)
         depth = max(float(p[2]), NEAREST_M)
-        cells = [
-            _cell(axis, value) for axis, value in zip(self._axes, (depth, p[0] / depth, p[1] / depth), strict=True)
-        ]
-        total, factor = 0.0, np.zeros(self._table.shape[-2:])
-        for corner in itertools.product((0, 1), repeat=3):
-            place = tuple(low + up for (low, _), up in zip(cells, corner, strict=True))
-            weight = float(np.prod([part if up else 1 - part for (_, part), up in zip(cells, corner, strict=True)]))
-            if weight > 0 and self._known[place]:
-                total += weight
-                factor += weight * self._table[place]
+        places = zip(self._axes, (depth, p[0] / depth, p[1] / depth), strict=True)
+        (i, along_z), (j, along_x), (k, along_y) = (_cell(axis, value) for axis, value in places)
+        cell = np.s_[i : i + 2, j : j + 2, k : k + 2]
+        weights = along_z[:, None, None] * along_x[:, None] * along_y * self._known[cell]
+        total = float(weights.sum())
         if total == 0:
             return np.full((3, 3), np.nan)
-        factor *= depth / total
+        factor = np.tensordot(weights, self._table[cell], 3) * (depth / total)
         return np.asarray(factor @ factor.T)
 
 
 def _stereo_names(rig: Rig) -> tuple[str, ...]:
     """The uncertain parameters that a stereo point depends on."""
     return tuple(n for n in rig.covariance.names if not n.startswith("laser.") and n != "water.group_index")
-
-
-def _pixel_change(rig: Rig, points_m: Array, name: str) -> Array:
-    """d(left and right pixels)/d(parameter) (N, 4), by differences; one-sided at the edge of what a part takes."""
-    here = float(get(rig, [name])[0])
-    step = 1e-2 if name.endswith("_px") else 1e-5 if "distortion" in name else 1e-6
-    low, high = _changed(rig, name, here - step), _changed(rig, name, here + step)
-    span = step * ((low is not None) + (high is not None))
-    before, after = (np.concatenate((changed or rig).project(points_m), axis=1) for changed in (low, high))
-    return np.asarray((after - before) / span)
-
-
-def _changed(rig: Rig, name: str, value: float) -> Rig | None:
-    try:
-        return replaced(rig, [name], [value])
-    except ValueError:
-        return None
 
 
 def _root(cov: Array) -> Array:
@@ -128,7 +89,8 @@ def _field(rig: Rig) -> tuple[tuple[float, float], tuple[float, float]]:
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
 
 
-def _cell(axis: Array, value: float) -> tuple[int, float]:
-    """The interval of an axis that holds a value, and how far along it that is (0-1); ends hold beyond."""
-    low = int(np.clip(np.searchsorted(axis, value) - 1, 0, len(axis) - 2))
-    return low, float(np.clip((value - axis[low]) / (axis[low + 1] - axis[low]), 0.0, 1.0))
+def _cell(axis: Array, value: float) -> tuple[int, Array]:
+    """The interval of an axis that holds a value, and the weights (2,) of its ends; the outermost hold beyond."""
+    low = min(max(int(np.searchsorted(axis, value)) - 1, 0), len(axis) - 2)
+    part = min(max((value - axis[low]) / (axis[low + 1] - axis[low]), 0.0), 1.0)
+    return low, np.array([1 - part, part])

@@ -29,6 +29,8 @@ from leadline.rig import Rig, Side
 from leadline.samples import Array
 
 SIDES: tuple[Side, Side] = ("left", "right")
+_RADIAL = {0: 1, 1: 2, 4: 3, 5: 1, 6: 2, 7: 3}
+"""The power of r^2 that each radial coefficient goes with."""
 
 
 class Medium(StrEnum):
@@ -98,17 +100,27 @@ def _by_lens(lens: Camera, xy: Array, pixels: Array, key: str) -> Array:
             return np.stack([one, zero], axis=1)
         case "cy_px":
             return np.stack([zero, one], axis=1)
-    x, y = xy.T
-    r2 = x * x + y * y
-    terms = {
-        0: (x * r2, y * r2),
-        1: (x * r2**2, y * r2**2),
+    dx, dy = _by_distortion(lens, xy[:, 0], xy[:, 1], _number(key))
+    return np.stack([lens.fx * dx, lens.fy * dy], axis=1)
+
+
+def _by_distortion(lens: Camera, x: Array, y: Array, i: int) -> tuple[Array, Array]:
+    """d(distorted x, y)/d(coefficient i), in OpenCV's order (see ``geometry.camera``)."""
+    k1, k2, _, _, k3, k4, k5, k6, *_ = lens.distortion + (0.0,) * 12
+    r2, zero = x * x + y * y, np.zeros_like(x)
+    below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    if i in _RADIAL:
+        above = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        d = r2 ** _RADIAL[i] / below * (1 if i in (0, 1, 4) else -above / below)
+        return x * d, y * d
+    return {
         2: (2 * x * y, r2 + 2 * y * y),
         3: (r2 + 2 * x * x, 2 * x * y),
-        4: (x * r2**3, y * r2**3),
-    }
-    dx, dy = terms[_number(key)]
-    return np.stack([lens.fx * dx, lens.fy * dy], axis=1)
+        8: (r2, zero),
+        9: (r2**2, zero),
+        10: (zero, r2),
+        11: (zero, r2**2),
+    }[i]
 
 
 def _number(key: str) -> int:
@@ -146,7 +158,7 @@ class _Ray:
         """dP/d(parameter) (N, 3), or None where the parameter has no effect on this ray."""
         if part == "T_right_left":
             return None if self.side == "left" else self._by_pose(key)
-        if self.port is None or key == "group_index":
+        if self.port is None or key in ("group_index", "normal[2]"):  # the normal's third follows from its others
             return None
         if part == "water":
             return None if self.port.outside_index == 1.0 else self.a * self._by_index(-1)[:, None]
@@ -199,7 +211,9 @@ class _Ray:
 def point_sensitivity(rig: Rig, points_m: Array, names: Sequence[str]) -> Array:
     """d(triangulated point)/d(parameters) (N, 3, k) at points (N, 3) of the rig's medium; NaN where not seen twice.
 
-    ``ranging.calibration_error.position_sensitivity`` does the same by differences.
+    Pixels q of a true point are explained by a rig whose parameters are off by e: the point that fits them best moves
+    by S e, S = -(J^T J)^-1 J^T dq/de with J = dq/dpoint of both cameras (implicit function theorem at the least-squares
+    triangulation).
     """
     medium = Medium.AIR if rig.port is None else Medium.WATER
     by_point, by_names = list[Array](), list[Array]()
