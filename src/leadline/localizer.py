@@ -135,7 +135,7 @@ class Localizer:
         self, frame: StereoFrame, box: Box, before: Estimate | None
     ) -> tuple[list[Measurement], list[Rejected]]:
         """All that one frame says, each from the best idea of the target so far."""
-        pair = Pair.of(frame.left, frame.right)
+        pair = Pair.of(frame.left, frame.right, self._rig)
         guess = None if before is None else Prior(before.x, self._range_sigma(before.x, before.cov))
         if guess is not None and guess.range_sigma_m > POOR * np.linalg.norm(guess.x[:3]):
             guess = None

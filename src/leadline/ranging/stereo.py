@@ -30,16 +30,17 @@ LengthAt = Callable[[Array], Array]  # left pixels (N, 2), full size -> predicte
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Both images of a frame, as they came and grey."""
+    """Both images of a frame, as they came and grey, and the rig that took them (with this frame's own skew)."""
 
     left_image: Image
     right_image: Image
     left: Float32
     right: Float32
+    rig: Rig
 
     @classmethod
-    def of(cls, left: Image, right: Image) -> Pair:
-        return cls(left, right, grey(left), grey(right))
+    def of(cls, left: Image, right: Image, rig: Rig) -> Pair:
+        return cls(left, right, grey(left), grey(right), rig)
 
 
 @dataclass(frozen=True, slots=True)
