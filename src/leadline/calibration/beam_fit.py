@@ -19,7 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from leadline.calibration.matches import misses_px
+from leadline.calibration.beam_model import by_length, by_names, expected
+from leadline.calibration.matches import misses_by_names, misses_px
 from leadline.calibration.spots import Station
 from leadline.rig import Rig
 from leadline.rig_covariance import RigCovariance
@@ -108,15 +109,14 @@ class _Problem:
         self._rig, self._free, self._prior, self._noise = rig, free, prior, noise
         self._held = tuple(name for name in prior.names if name not in free)
         self._start, self._basis = get(rig, free), _basis(rig, free)
-        self._measured = np.array([[*s.left.q_px, *s.right.q_px] for s in stations])
-        self._raw_m = np.array([s.raw_m for s in stations])
+        self._measured = np.array([[*s.left.q_px, *s.right.q_px, s.raw_m] for s in stations])
         self._matches = np.concatenate([s.matches_px for s in stations])
         self._match_sigma = noise.match * MATCH_SIGMA_PX
-        self._pixel_sigma = noise.pixel * np.array([_pixel_sigmas(s) for s in stations])
+        pixel_sigma = noise.pixel * np.array([_pixel_sigmas(s) for s in stations])
         assert rig.laser is not None
         alone = max(rig.laser.range_sigma_m, 1e-4)
         counts = np.array([s.readings for s in stations])
-        self._range_sigma = noise.range * np.hypot(alone / np.sqrt(counts), ROUNDING_M)
+        self._sigma = np.column_stack([pixel_sigma, noise.range * np.hypot(alone / np.sqrt(counts), ROUNDING_M)])
         within = self._basis.T @ prior.of(free) @ self._basis
         scale = np.sqrt(np.diag(within))
         self._prior_x = within
@@ -129,14 +129,16 @@ class _Problem:
         """Free parameters (k,) in their own coordinates, and lengths (N,), m; from where they are known roughly."""
         first = np.zeros(self._count) if x is None else x / self._to_x
         lengths = self._first_lengths() if lengths_m is None else lengths_m
-        fit = least_squares(self._vector, np.concatenate([first, lengths]), x_scale="jac", ftol=1e-7, xtol=1e-7)
+        start = np.concatenate([first, lengths])
+        fit = least_squares(self._vector, start, self._jacobian, x_scale="jac", ftol=1e-7, xtol=1e-7)
         return fit.x[: self._count] * self._to_x, fit.x[self._count :]
 
     def rig(self, x: Array) -> Rig:
         return replaced(self._rig, self._free, self._start + self._basis @ x)
 
     def residuals(self, x: Array, lengths_m: Array) -> tuple[Array, Array]:
-        return _residuals(self.rig(x), self._measured, self._raw_m, lengths_m)
+        off = self._off(self.rig(x), lengths_m)
+        return off[:, :4], off[:, 4]
 
     def misfit(self, x: Array, lengths_m: Array) -> Array:
         """Each station's root of chi2 over its degrees of freedom (N,)."""
@@ -167,12 +169,7 @@ class _Problem:
     def _leverages(self, rig: Rig, lengths_m: Array) -> Array:
         """The share of each residual (N, 5) that the parameters and lengths take up (the hat matrix's diagonal)."""
         n, k = len(lengths_m), self._count
-        slopes = self._length_slopes(rig, lengths_m)
-        gradient = self._gradient(rig, self._free, lengths_m) @ self._basis
-        design = np.zeros((len(gradient), k + n))
-        design[:, :k] = gradient
-        for i, slope in enumerate(slopes):
-            design[i * 5 : (i + 1) * 5, k + i] = slope
+        design = self._design(rig, lengths_m)
         information = design.T @ design
         information[:k, :k] += _inverse(self._prior_x)
         shares = np.sum(design * _solve(information, design.T).T, axis=1)
@@ -210,9 +207,9 @@ class _Problem:
 
     def _first_lengths(self) -> Array:
         assert self._rig.laser is not None
-        points, _ = self._rig.triangulate(self._measured[:, :2], self._measured[:, 2:])
+        points, _ = self._rig.triangulate(self._measured[:, :2], self._measured[:, 2:4])
         along = (points - self._rig.laser.origin_m) @ self._rig.laser.direction
-        read = (self._raw_m - self._rig.laser.range_offset_m) / (
+        read = (self._measured[:, 4] - self._rig.laser.range_offset_m) / (
             self._rig.laser.range_scale * self._rig.laser.group_index
         )
         return np.where(np.isfinite(along) & (along > 0), along, read)
@@ -223,8 +220,25 @@ class _Problem:
         try:
             rows = self._rows(self.rig(x), lengths)
         except ValueError:  # a step to where no rig is: an index below 1, a port behind the camera
-            rows = np.full(self._measured.size + len(self._raw_m) + len(self._matches), 1e6)
+            rows = np.full(self._measured.size + len(self._matches), 1e6)
         return np.concatenate([np.nan_to_num(rows, nan=1e6), pull])
+
+    def _jacobian(self, scaled: Array) -> Array:
+        """d(_vector)/d(scaled) (5N + M + k, k + N)."""
+        x, lengths = scaled[: self._count] * self._to_x, scaled[self._count :]
+        rows = -self._design(self.rig(x), lengths)
+        rows[:, : self._count] *= self._to_x
+        pull = np.hstack([self._whiten, np.zeros((self._count, len(lengths)))])
+        return np.concatenate([np.nan_to_num(rows), pull])
+
+    def _design(self, rig: Rig, lengths_m: Array) -> Array:
+        """d(whitened measurements)/d(free parameters in their coordinates, lengths) (5N + M, k + N)."""
+        n, k = len(lengths_m), self._count
+        gradient = self._gradient(rig, self._free, lengths_m) @ self._basis
+        out = np.hstack([gradient, np.zeros((len(gradient), n))])
+        for i, slope in enumerate(self._length_slopes(rig, lengths_m)):
+            out[i * 5 : (i + 1) * 5, k + i] = slope
+        return out
 
     def _rows(self, rig: Rig, lengths_m: Array) -> Array:
         """All whitened residuals: the stations' (5N), then the matches'."""
@@ -235,9 +249,12 @@ class _Problem:
             return np.zeros(0)
         return misses_px(rig, self._matches) / self._match_sigma
 
+    def _off(self, rig: Rig, lengths_m: Array) -> Array:
+        """Measured minus expected (N, 5): pixels, then the reading."""
+        return np.asarray(self._measured - expected(rig, lengths_m))
+
     def _white(self, rig: Rig, lengths_m: Array) -> Array:
-        pixels, ranges = _residuals(rig, self._measured, self._raw_m, lengths_m)
-        return np.hstack([pixels / self._pixel_sigma, (ranges / self._range_sigma)[:, None]])
+        return np.asarray(self._off(rig, lengths_m) / self._sigma)
 
     def _without_lengths(self, rig: Rig, lengths_m: Array) -> Array:
         """(4N + M, 5N + M): what of the residuals no choice of the lengths can explain; matches have no length."""
@@ -253,38 +270,15 @@ class _Problem:
 
     def _length_slopes(self, rig: Rig, lengths_m: Array) -> Array:
         """d(whitened measurements)/d(own length) (N, 5)."""
-        step = 1e-5
-        return np.asarray((self._white(rig, lengths_m - step) - self._white(rig, lengths_m + step)) / (2 * step))
+        return np.asarray(by_length(rig, lengths_m) / self._sigma)
 
     def _gradient(self, rig: Rig, names: tuple[str, ...], lengths_m: Array) -> Array:
-        """-d(whitened residuals)/d(parameters) (5N + M, k), central differences: measurements as functions of them."""
-        columns = []
-        for name in names:
-            if not _takes_part(rig, name):
-                columns.append(np.zeros(5 * len(lengths_m) + len(self._matches)))
-                continue
-            value = float(get(rig, [name])[0])
-            step = 1e-2 if name.endswith("_px") else 1e-5 if "distortion" in name else 1e-6
-            high = self._rows(replaced(rig, [name], [value + step]), lengths_m)
-            low = self._rows(replaced(rig, [name], [value - step]), lengths_m)
-            columns.append((low - high) / (2 * step))
-        count = 5 * len(lengths_m) + len(self._matches)
-        return np.stack(columns, axis=1) if columns else np.zeros((count, 0))
-
-
-def _takes_part(rig: Rig, name: str) -> bool:
-    """Not the water in air, nor the port of a rig that stood there without its housing."""
-    if rig.water is None and name.startswith("water."):
-        return False
-    return rig.port is not None or not name.startswith("port.")
-
-
-def _residuals(rig: Rig, measured_px: Array, raw_m: Array, lengths_m: Array) -> tuple[Array, Array]:
-    beam = rig.laser
-    assert beam is not None
-    left, right = rig.project(beam.origin_m + lengths_m[:, None] * beam.direction)
-    expected = beam.range_scale * beam.group_index * lengths_m + beam.range_offset_m
-    return measured_px - np.hstack([left, right]), raw_m - expected
+        """d(whitened measurements)/d(parameters) (5N + M, k)."""
+        if not names:
+            return np.zeros((5 * len(lengths_m) + len(self._matches), 0))
+        seen = by_names(rig, lengths_m, names) / self._sigma[:, :, None]
+        missed = misses_by_names(rig, self._matches, names) / self._match_sigma
+        return np.concatenate([seen.reshape(-1, len(names)), missed])
 
 
 def _pixel_sigmas(station: Station) -> list[float]:

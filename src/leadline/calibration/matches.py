@@ -6,13 +6,16 @@ other. Spread over the field, that number shows the port's tilt and distance, wh
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from leadline.geometry import midpoints
 from leadline.rig import Rig
+from leadline.rig_derivatives import SIDES, Medium, by_parameters, project
 from leadline.samples import Array, Image
 
 Pixels = NDArray[np.float32]
@@ -44,13 +47,33 @@ def _followed(a: Image, b: Image, start: Pixels, guess: Pixels) -> tuple[Pixels,
 
 
 def misses_px(rig: Rig, matches_px: Array) -> Array:
-    """How far left and right rays miss each other (M,), signed, in pixels (of the root of two: both share it)."""
-    origins_a, a = rig.rays(matches_px[:, :2], "left")
-    origins_b, b = rig.rays(matches_px[:, 2:], "right")
-    across = np.cross(a, b)
-    norm = np.linalg.norm(across, axis=1)
-    apart = origins_b - origins_a
-    miss_m = np.einsum("ij,ij->i", apart, across) / norm
-    along_m = np.abs(np.einsum("ij,ij->i", np.cross(apart, b), across)) / norm**2
-    focal = rig.left.fx * (1.0 if rig.port is None else rig.port.outside_index)
-    return np.asarray(miss_m / along_m * focal / np.sqrt(2))
+    """How far left and right rays miss each other (M,), signed, px: a miss has the noise of one pixel coordinate."""
+    return _Meeting(rig, matches_px).misses
+
+
+def misses_by_names(rig: Rig, matches_px: Array, names: Sequence[str]) -> Array:
+    """-d(misses)/d(parameters) (M, k)."""
+    return _Meeting(rig, matches_px).by_names(names)
+
+
+class _Meeting:
+    """Points (M, 3) where the rays of matches meet, and the one direction e (M, 4) of the four pixel coordinates in
+    which no move of the point can take a residual away: e^T dq/dpoint = 0, |e| = 1."""
+
+    def __init__(self, rig: Rig, matches_px: Array) -> None:
+        self._rig, self._medium = rig, Medium.AIR if rig.port is None else Medium.WATER
+        self._points = midpoints(*rig.rays(matches_px[:, :2], "left"), *rig.rays(matches_px[:, 2:], "right"))
+        (left, A), (right, B) = (project(rig, side, self._medium, self._points) for side in SIDES)
+        self._seen = ((left, A), (right, B))
+        a, b = np.cross(A[:, 0], A[:, 1]), np.cross(B[:, 0], B[:, 1])  # along the rays
+        columns = [(A[:, 1], b), (-A[:, 0], b), (B[:, 1], a), (-B[:, 0], a)]
+        e = np.stack([np.einsum("mi,mi->m", row, ray) for row, ray in columns], axis=1)
+        self._e = e / np.linalg.norm(e, axis=1)[:, None]
+        self.misses: Array = np.einsum("mi,mi->m", self._e, matches_px - np.hstack([left, right]))
+
+    def by_names(self, names: Sequence[str]) -> Array:
+        parts = [
+            by_parameters(self._rig, side, self._medium, self._points, pixels, jacobian, names)
+            for side, (pixels, jacobian) in zip(SIDES, self._seen, strict=True)
+        ]
+        return np.asarray(np.einsum("mi,mik->mk", self._e, np.concatenate(parts, axis=1)))

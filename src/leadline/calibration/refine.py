@@ -126,7 +126,7 @@ def _matching(rig: Rig, stations: Sequence[Station], slack_px: float) -> list[St
     out = []
     for station in stations:
         off = misses_px(rig, station.matches_px)
-        off = np.abs(off - np.median(off)) if len(off) else off
+        off = np.abs(off - np.nanmedian(off)) if len(off) else off
         out.append(dataclasses.replace(station, matches_px=station.matches_px[off <= slack_px]))
     return out
 
