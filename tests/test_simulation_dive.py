@@ -16,7 +16,7 @@ import pytest
 from leadline.errors import InputError
 from leadline.geometry import Pose
 from leadline.rig import Rig
-from leadline.samples import LaserRange, Sample, StereoFrame
+from leadline.samples import LaserRange, Sample, StereoFrame, VehicleMotion
 from leadline.simulation.dive import SimulatedDive
 from leadline.simulation.renderer import Eye, View
 from leadline.simulation.scenario import Scenario, shipped_scenarios
@@ -97,6 +97,29 @@ def test_velocity_is_the_positions_rate() -> None:
         rate = (np.array(steps[1].position_m) - steps[0].position_m) / 0.01
         np.testing.assert_allclose(frame["velocity_m_s"], rate, atol=2e-4)
     assert max(-f["velocity_m_s"][2] for f in frames) > 0.3
+
+
+def test_the_vehicles_motion_is_that_of_what_stands_still() -> None:
+    """A still ball's centre moves by -v - w x p; the readings scatter by their sigmas (2000 numbers: 4 sigma)."""
+    scenario = Scenario.model_validate(
+        {"path": {"start_m": 1.6, "speed_m_s": 0.3, "attitude_deg": 5.0}, "vehicle": {"rate_hz": 100}}
+    )
+    dive = SimulatedDive(scenario, seed=2)
+    off = []
+    for motion in _motions(dive):
+        p_m = np.array(dive.truth_at(motion.t_ns).position_m)
+        assert motion.arrival_ns == motion.t_ns + 20_000_000
+        still = -np.array(motion.velocity_m_s) - np.cross(motion.rotation_rad_s, p_m)
+        sigma = np.sqrt(0.01**2 + 0.002**2 * (p_m @ p_m - p_m**2))
+        off.append((dive.velocity_m_s(motion.t_ns) - still) / sigma)
+    assert len(off) > 300
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=4 / np.sqrt(2 * np.size(off)))
+
+
+def _motions(dive: SimulatedDive) -> list[VehicleMotion]:
+    """Without rendering a single frame."""
+    dive._frame_times = []
+    return [sample for sample in dive.samples() if isinstance(sample, VehicleMotion)]
 
 
 def test_spot_pixels_triangulate_to_the_beams_point() -> None:

@@ -102,14 +102,14 @@ def test_recording_gives_the_same_samples(tmp_path: Path) -> None:
 
 def test_a_bag_is_a_folder_with_a_recording(tmp_path: Path) -> None:
     record(tmp_path / "bag" / "bag_0.mcap", memory_dive())
-    assert len(list(open_source(tmp_path / "bag"))) == 4
+    assert len(list(open_source(tmp_path / "bag"))) == 6
 
 
 def test_a_senseless_recorded_range_is_skipped(tmp_path: Path) -> None:
     samples = memory_dive()
     samples[0] = LaserRange(0, float("nan"))
     source = open_source(record(tmp_path / "dive.mcap", samples))
-    assert len(list(source)) == 3
+    assert len(list(source)) == 5
     assert [str(notice.kind) for notice in source.notices] == ["skipped"]
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from leadline.errors import InputError
 from leadline.rig import Rig
-from leadline.samples import LaserRange, StereoFrame
+from leadline.samples import LaserRange, StereoFrame, VehicleMotion
 from leadline.sources import count_notices, open_source, require_size
 from leadline.wire.dive_writer import write_dive
 from leadline.wire.truth import read_truth
@@ -201,6 +201,42 @@ def test_no_dive_left_is_one_clear_line(tmp_path: Path, spoil: object, told: lis
 def test_what_is_no_source(spec: str) -> None:
     with pytest.raises(InputError, match="dive folder"):
         open_source(spec)
+
+
+MOTION = """t_s,vx_m_s,vy_m_s,vz_m_s,wx_rad_s,wy_rad_s,wz_rad_s,velocity_sigma_m_s
+0.0,0.1,0,-0.2,,,,
+0.3,,,,0.01,0.02,0.03,
+0.6,0.1,0,fast,,,,
+0.7,0.1,,0.2,,,,
+0.8,,,,,,,
+0.9,0.1,0,0,0,0,0,-1
+1.0,0.3,0,0,0,0,0.1,0.004
+"""
+
+
+def test_the_vehicles_motion_comes_along_and_bad_rows_are_told(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "dive")
+    (folder / "motion.csv").write_text(MOTION)
+    source = open_source(folder)
+    motions = [sample for sample in source if isinstance(sample, VehicleMotion)]
+    assert motions == [
+        VehicleMotion(0, (0.1, 0.0, -0.2)),
+        VehicleMotion(300_000_000, None, (0.01, 0.02, 0.03)),
+        VehicleMotion(1_000_000_000, (0.3, 0.0, 0.0), (0.0, 0.0, 0.1), 0.004),
+    ]
+    told = [str(notice) for notice in source.notices]
+    assert len(told) == 4
+    for text, row, why in zip(told, (4, 5, 6, 7), ("fast", "vy_m_s", "neither", "positive"), strict=True):
+        assert f"motion.csv row {row}" in text
+        assert why in text
+    assert isinstance(next(iter(source)), VehicleMotion)  # of equal arrival it comes first: it helps the frame
+
+
+def test_motion_of_other_columns_is_refused(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "dive")
+    (folder / "motion.csv").write_text("t_s,speed\n0,1\n")
+    with pytest.raises(InputError, match=r"motion\.csv.*vx_m_s,vy_m_s,vz_m_s or t_s,wx_rad_s"):
+        open_source(folder)
 
 
 def test_truth_with_gaps(tmp_path: Path) -> None:

@@ -11,13 +11,13 @@ from mcap_ros2.writer import Writer as OtherWriter
 from rosbags.typesys import Stores, get_typestore
 
 from leadline.errors import InputError
-from leadline.samples import LaserRange, StereoFrame
+from leadline.samples import LaserRange, StereoFrame, VehicleMotion
 from leadline.sinks import McapSink
 from leadline.sources import open_source
 from leadline.wire.images import encode_png
 from leadline.wire.recording import RecordingWriter, recover
-from leadline.wire.ros2_definitions import LASER, LEFT_IMAGE, RIGHT_IMAGE, TOPIC_TYPES, definition
-from leadline.wire.ros2_messages import compressed_image, range_message
+from leadline.wire.ros2_definitions import LASER, LEFT_IMAGE, MOTION, RIGHT_IMAGE, TOPIC_TYPES, definition
+from leadline.wire.ros2_messages import compressed_image, motion_message, range_message
 from wire_helpers import picture, same
 
 
@@ -66,6 +66,35 @@ def test_a_recording_by_another_tool(tmp_path: Path, skew_ns: int, pairs: int) -
     readings = [sample for sample in samples if isinstance(sample, LaserRange)]
     assert readings == [LaserRange(i * 100_000_000, 2.5, None, i * 100_000_000 + 50_000_000) for i in (1, 2)]
     assert [str(notice.kind) for notice in source.notices if notice.kind != "late"] == ["skipped"]  # the NaN
+
+
+@pytest.mark.parametrize("variances", [(0.01, 4e-6), (0.0, -1.0), (-1.0, 4e-6), (-1.0, -1.0)])
+def test_a_twist_by_another_tool(tmp_path: Path, variances: tuple[float, float]) -> None:
+    """0: of unknown certainty, the usual one is taken; negative: not measured."""
+    path = tmp_path / "other.mcap"
+    foreign(path, 0)
+    message = motion_message(VehicleMotion(50_000_000, (0.1, 0.2, 0.3), (0.01, 0.02, 0.03)))
+    message["twist"]["covariance"] = np.diag(np.repeat(variances, 3)).ravel().tolist()
+    with path.open("wb") as stream, OtherWriter(stream) as writer:
+        for topic, one in (
+            (MOTION, message),
+            (LEFT_IMAGE, compressed_image(0, "l", encode_png(picture(0)))),
+            (RIGHT_IMAGE, compressed_image(0, "r", encode_png(picture(1)))),
+        ):
+            schema = writer.register_msgdef(TOPIC_TYPES[topic], definition(TOPIC_TYPES[topic]))
+            writer.write_message(topic, schema, one, 60_000_000, 50_000_000)
+    source = open_source(path)
+    motions = [sample for sample in source if isinstance(sample, VehicleMotion)]
+    if max(variances) < 0:
+        assert not motions
+        assert "neither" in str(source.notices[0])
+        return
+    usual = VehicleMotion(0)
+    (motion,) = motions
+    assert (motion.velocity_m_s is None, motion.rotation_rad_s is None) == (variances[0] < 0, variances[1] < 0)
+    assert motion.velocity_sigma_m_s == (0.1 if variances[0] > 0 else usual.velocity_sigma_m_s)
+    assert motion.rotation_sigma_rad_s == (0.002 if variances[1] > 0 else usual.rotation_sigma_rad_s)
+    assert motion.arrival_ns == 60_000_000
 
 
 def test_recover_makes_a_whole_file(tmp_path: Path) -> None:

@@ -7,8 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from leadline.samples import LaserRange, Sample, StereoFrame
+from leadline.samples import LaserRange, Sample, StereoFrame, VehicleMotion
 
+LATE_NS = 1_700_000_001_000_000_000
 SIZE = (64, 48)  # width, height
 
 
@@ -32,7 +33,7 @@ def write_folder(folder: Path, frames: int = 4, *, frames_csv: str = "", laser_c
 
 def same(one: Sample, other: Sample) -> bool:
     """Bit for bit, but for the compressed bytes, which a frame made in memory does not have."""
-    if isinstance(one, LaserRange) or isinstance(other, LaserRange):
+    if not (isinstance(one, StereoFrame) and isinstance(other, StereoFrame)):
         return one == other
     fields = ("t_ns", "arrival_ns", "left_t_ns", "right_t_ns", "name")
     return (
@@ -49,4 +50,8 @@ def memory_dive() -> list[Sample]:
         StereoFrame(100_000_001, picture(1), picture(2), 180_000_000, 99_000_000, 101_000_002, "a/left_0.png"),
         LaserRange(150_000_000, 3.0587654321, 0.12345678901234567, 190_000_000),
         StereoFrame(1_700_000_000_123_456_789, picture(3, grey=True), picture(4, grey=True), name="left,1.png"),
+        VehicleMotion(
+            LATE_NS, (0.1, -0.25, 1 / 3), (0.01, 0.0, -0.02), 0.0123456789012345, 0.003, LATE_NS + 20_000_000
+        ),
+        VehicleMotion(LATE_NS + 7, None, (1 / 7, 0.0, 0.0), arrival_ns=LATE_NS + 20_000_000),
     ]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from leadline.localizer import Localizer
     from leadline.recognition.detector import Detector
     from leadline.rig import Rig
-    from leadline.samples import LaserRange, Solution, StereoFrame
+    from leadline.samples import LaserRange, Solution, StereoFrame, VehicleMotion
     from leadline.sources import open_source
     from leadline.target import Cylinder, Plane, Sphere, Surface
 
@@ -36,6 +36,7 @@ _HOMES = {
     "Sphere": "leadline.target",
     "StereoFrame": "leadline.samples",
     "Surface": "leadline.target",
+    "VehicleMotion": "leadline.samples",
     "open_source": "leadline.sources",
 }
 _ROOMS = ("geometry", "water")
@@ -52,6 +53,7 @@ __all__ = [
     "Sphere",
     "StereoFrame",
     "Surface",
+    "VehicleMotion",
     "__version__",
     "geometry",
     "open_source",

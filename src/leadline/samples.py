@@ -61,13 +61,13 @@ class LaserRange:
 class VehicleMotion:
     """How the vehicle moves (a DVL, a gyroscope), in the LEFT CAMERA's frame; None: not measured.
 
-    velocity_m_s: of the camera through the water's bottom, (3,). rotation_rad_s: the camera's, (3,), right-handed. The
-    sigmas are of each component: white noise of the reading, to which a sensor's own bias must have been added.
+    velocity_m_s: of the camera over ground (x, y, z). rotation_rad_s: the camera's (x, y, z), right-handed. A point p
+    that stands still thus moves by -velocity - rotation x p. The sigmas are of each component.
     """
 
     t_ns: int
-    velocity_m_s: Array | None = None
-    rotation_rad_s: Array | None = None
+    velocity_m_s: tuple[float, float, float] | None = None
+    rotation_rad_s: tuple[float, float, float] | None = None
     velocity_sigma_m_s: float = 0.02
     rotation_sigma_rad_s: float = 0.005
     arrival_ns: int | None = None
@@ -77,7 +77,7 @@ class VehicleMotion:
         return self.t_ns / NS_PER_S
 
 
-Sample = StereoFrame | LaserRange
+Sample = StereoFrame | LaserRange | VehicleMotion
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,6 +53,8 @@ class PaperLocalizer:
                 if self._seen and self._frame is not None and self._frame.t_ns == sample.t_ns:
                     return self._locate(self._frame)
             return None
+        if not isinstance(sample, StereoFrame):
+            return None
         self._frame = sample
         self.detections = [] if self._finder is None else self._finder.find(sample)
         self._seen = self._seen or bool(self.detections)

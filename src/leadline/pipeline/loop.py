@@ -110,7 +110,7 @@ def _drive(job: Job, tracks: list[Track], progress: Progress) -> Passed:
             if isinstance(sample, StereoFrame):
                 _require_size(job.rig, sample)
                 passed.frames_ns.append(sample.t_ns)
-            else:
+            elif isinstance(sample, LaserRange):
                 _note_reading(passed, job.rig, sample)
             for track in tracks:
                 track.take(sample)

@@ -13,7 +13,7 @@ import numpy as np
 
 from leadline.geometry import Beam, Pose
 from leadline.rig import Rig
-from leadline.samples import NS_PER_S, Array, LaserRange, Sample, StereoFrame, Truth
+from leadline.samples import NS_PER_S, Array, LaserRange, Sample, StereoFrame, Truth, VehicleMotion
 from leadline.simulation.faults import inject
 from leadline.simulation.motion import Motion
 from leadline.simulation.particles import Snow
@@ -27,6 +27,7 @@ from leadline.simulation.sensors import (
     beam_in_scene,
     camera_instants,
     laser_instants,
+    vehicle_instants,
 )
 from leadline.simulation.spot import Beamed
 
@@ -83,9 +84,8 @@ class SimulatedDive:
         self.scenario = scenario if isinstance(scenario, Scenario) else Scenario.load(scenario)
         self.seed = seed
         self.rig = _true_rig(self.scenario, rig)
-        scene, motion, snow, times, self._laser_seed, self._fault_seed, self._noise_seed = np.random.SeedSequence(
-            seed
-        ).spawn(7)
+        seeds = np.random.SeedSequence(seed).spawn(8)  # a new one goes to the end: the others' dives stay
+        scene, motion, snow, times, self._laser_seed, self._fault_seed, self._noise_seed, self._vehicle_seed = seeds
         texels = 1024 if self.rig.left.width <= 960 else 4096
         self._scene = Scene(self.scenario, np.random.default_rng(scene), 2 * texels if texels < 4096 else texels)
         self._motion = Motion(self.scenario.path, self._scene.shape.reach_m, np.random.default_rng(motion))
@@ -94,6 +94,7 @@ class SimulatedDive:
         duration_s = self.scenario.duration_s
         self._frame_times = camera_instants(self.scenario.camera, duration_s, rng)
         self._laser_times = laser_instants(self.scenario.laser, duration_s, rng) if self.rig.laser is not None else []
+        self._vehicle_times = vehicle_instants(self.scenario.vehicle, duration_s)
         times_ns = sorted({i.t_ns for i in (*self._frame_times, *self._laser_times)})
         self.truth = [self.truth_at(t_ns) for t_ns in times_ns]
         self.details: dict[str, Any] = {}
@@ -124,12 +125,16 @@ class SimulatedDive:
         rng = np.random.default_rng(self._laser_seed)
         scenario = self.scenario
         snow = Snow(scenario.optics.snow_per_m3, scenario.snow_bursts_s, np.random.default_rng(self._snow_seed))
+        vehicle_rng = np.random.default_rng(self._vehicle_seed)
         events = [(i.arrival_ns, 0, n, i) for n, i in enumerate(self._frame_times)]
         events += [(i.arrival_ns, 1, n, i) for n, i in enumerate(self._laser_times)]
+        events += [(i.arrival_ns, -1, n, i) for n, i in enumerate(self._vehicle_times)]
         with ThreadPoolExecutor(2) as pool:
             eyes = list(pool.map(lambda side: Eye(self.rig, side, scenario.camera), ("left", "right")))
-            for _, is_laser, number, instant in sorted(events, key=lambda event: event[:3]):
-                if is_laser:
+            for _, turn, number, instant in sorted(events, key=lambda event: event[:3]):
+                if turn < 0:
+                    yield self._sense_motion(instant, vehicle_rng)
+                elif turn:
                     reading = self._read_laser(instant, rng)
                     if reading is not None:
                         yield reading
@@ -227,6 +232,12 @@ class SimulatedDive:
         if reading.raw_m is None:
             return None
         return LaserRange(stamp_ns, reading.raw_m, reading.quality, instant.arrival_ns)
+
+    def _sense_motion(self, instant: Instant, rng: np.random.Generator) -> VehicleMotion:
+        part, (v, w) = self.scenario.vehicle, self._motion.twist(instant.t_ns / NS_PER_S)
+        sigmas = part.velocity_sigma_m_s, part.rotation_sigma_rad_s
+        velocity, rotation = (_vector(a + s * rng.standard_normal(3)) for a, s in zip((v, w), sigmas, strict=True))
+        return VehicleMotion(instant.t_ns, velocity, rotation, *sigmas, instant.arrival_ns)
 
 
 def _true_rig(scenario: Scenario, given: Rig | None) -> Rig:

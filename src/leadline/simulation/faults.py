@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, model_validator
 
-from leadline.samples import NS_PER_S, Image, LaserRange, Sample, StereoFrame
+from leadline.samples import NS_PER_S, Image, LaserRange, Sample, StereoFrame, VehicleMotion
 
 Mode = Literal["off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent"]
 Sensor = Literal["camera", "left", "right", "laser"]
@@ -57,9 +57,9 @@ class Fault(BaseModel):
         return _WRONG_RANGE_M if (self.mode, self.sensor) == ("wrong", "laser") else _SIZES.get(self.mode, 0.0)
 
     def concerns(self, sample: Sample) -> bool:
-        is_laser = isinstance(sample, LaserRange)
+        sensed = LaserRange if self.sensor == "laser" else StereoFrame
         within = self.start_s <= sample.t_s and (self.end_s is None or sample.t_s < self.end_s)
-        return within and is_laser == (self.sensor == "laser")
+        return within and isinstance(sample, sensed)
 
 
 def inject(samples: Iterable[Sample], faults: Sequence[Fault], rng: np.random.Generator) -> Iterator[Sample]:
@@ -91,7 +91,7 @@ class _Change:
         self._count = 0
 
     def remember(self, sample: Sample) -> None:
-        if isinstance(sample, LaserRange) == (self._fault.sensor == "laser"):
+        if isinstance(sample, LaserRange if self._fault.sensor == "laser" else StereoFrame):
             self._last = sample
 
     def __call__(self, sample: Sample) -> Sample | None:
@@ -105,6 +105,7 @@ class _Change:
             case "delayed":
                 arrival_ns = sample.t_ns if sample.arrival_ns is None else sample.arrival_ns
                 return replace(sample, arrival_ns=arrival_ns + round(fault.amount * NS_PER_S))
+        assert not isinstance(sample, VehicleMotion)  # no fault concerns it
         return self._range(sample) if isinstance(sample, LaserRange) else self._frame(sample)
 
     def _range(self, sample: LaserRange) -> LaserRange | None:

@@ -40,6 +40,13 @@ class Motion:
         R = rotation(sway[3:])
         return Pose(R, R @ target_m)
 
+    def twist(self, t_s: float, step_s: float = 1e-4) -> tuple[Array, Array]:
+        """The camera's v (3,), m/s, and w (3,), rad/s, in its own frame: what stands still at p moves by -v - w x p."""
+        before, now, after = (self.pose(t_s + step) for step in (-step_s, 0.0, step_s))
+        turn = -(after.R - before.R) @ now.R.T / (2 * step_s)  # the cross product with w, as a matrix
+        w = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
+        return -np.cross(w, now.t_m) - (after.t_m - before.t_m) / (2 * step_s), w
+
 
 def rotation(vector: Array) -> Array:
     """The rotation (3, 3) about a vector by its length (Rodrigues)."""

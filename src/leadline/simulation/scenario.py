@@ -126,6 +126,15 @@ class LaserPart(_Part):
     power: float = Field(default=20.0, ge=0, le=1000, description="light in the spot's middle, against daylight")
 
 
+class VehiclePart(_Part):
+    """What measures the vehicle's own motion (a DVL, a gyroscope); none at a rate of 0."""
+
+    rate_hz: float = Field(default=0.0, ge=0, le=1000)
+    velocity_sigma_m_s: float = Field(default=0.01, gt=0, le=1)
+    rotation_sigma_rad_s: float = Field(default=0.002, gt=0, le=1)
+    latency_s: Duration = 0.02
+
+
 class Scenario(_Part):
     """A whole dive. ``rig`` is an example's name or a file; its images are resized to ``camera.image_width_px``."""
 
@@ -139,6 +148,7 @@ class Scenario(_Part):
     path: PathPart = PathPart()
     camera: CameraPart = CameraPart()
     laser: LaserPart = LaserPart()
+    vehicle: VehiclePart = VehiclePart()
     snow_bursts_s: tuple[float, ...] = Field(default=(), description="times at which clouds of particles pass")
     faults: tuple[Fault, ...] = ()
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from leadline.geometry import Beam
 from leadline.samples import NS_PER_S, Array
-from leadline.simulation.scenario import CameraPart, LaserPart
+from leadline.simulation.scenario import CameraPart, LaserPart, VehiclePart
 
 ReadingKind = Literal["target", "backdrop", "early", "outlier", "none"]
 
@@ -30,6 +30,12 @@ def laser_instants(part: LaserPart, duration_s: float, rng: np.random.Generator)
     """Its clock is not the camera's trigger: it starts at any time within its first period."""
     start_s = float(rng.uniform(0, 1 / part.rate_hz))
     return _instants(part.rate_hz, part.latency_s, 0.0, duration_s, start_s, rng)
+
+
+def vehicle_instants(part: VehiclePart, duration_s: float) -> list[Instant]:
+    if part.rate_hz == 0:
+        return []
+    return _instants(part.rate_hz, part.latency_s, 0.0, duration_s, 0.0, np.random.default_rng(0))  # no jitter to draw
 
 
 def _instants(

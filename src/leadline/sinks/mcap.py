@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from leadline.rig import Rig
-from leadline.samples import Detection, LaserRange, Sample, Solution, StereoFrame, Truth
+from leadline.samples import Detection, LaserRange, Sample, Solution, StereoFrame, Truth, VehicleMotion
 from leadline.wire import ros2_definitions as topics
 from leadline.wire import ros2_messages as ros2
 from leadline.wire.images import encode_png
@@ -33,6 +33,10 @@ class McapSink:
         if isinstance(sample, LaserRange):
             self._write(topics.SAMPLE_INFO, ros2.laser_info(sample), sample.t_ns)
             self._write(topics.LASER, ros2.range_message(sample), sample.t_ns)
+            self._writer.flush_if_due()
+        elif isinstance(sample, VehicleMotion):
+            self._write(topics.SAMPLE_INFO, ros2.motion_info(sample), sample.t_ns)
+            self._write(topics.MOTION, ros2.motion_message(sample), sample.t_ns)
             self._writer.flush_if_due()
         else:
             self._frame(sample)

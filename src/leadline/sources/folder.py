@@ -8,15 +8,15 @@ from pathlib import Path
 
 from leadline.errors import InputError
 from leadline.rig import Rig
-from leadline.samples import LaserRange, Sample
+from leadline.samples import LaserRange, Sample, StereoFrame, VehicleMotion
 from leadline.sources.base import Source, frame_size
 from leadline.sources.sync import order_key
-from leadline.wire.dive_folder import FrameEntry, read_frames, read_laser
+from leadline.wire.dive_folder import FrameEntry, read_frames, read_laser, read_motion
 from leadline.wire.images import SizeError
 from leadline.wire.notice import Notice, NoticeKind
 from leadline.wire.truth import read_truth
 
-_Entry = tuple[str, FrameEntry | LaserRange]
+_Entry = tuple[str, FrameEntry | LaserRange | VehicleMotion]
 
 
 class FolderSource(Source):
@@ -26,9 +26,10 @@ class FolderSource(Source):
         notices: list[Notice] = []
         frames: list[_Entry] = [(entry.where, entry) for entry in read_frames(folder, notices.append)]
         laser: list[_Entry] = list(read_laser(folder, notices.append))
-        for rows in (frames, laser):
+        motion: list[_Entry] = list(read_motion(folder, notices.append))
+        for rows in (frames, laser, motion):
             notices += _out_of_order(rows)
-        self._entries = sorted(frames + laser, key=_key)
+        self._entries = sorted(frames + laser + motion, key=_key)
         rig_path, truth_path = folder / "rig.yaml", folder / "truth.csv"
         super().__init__(
             str(folder),
@@ -42,7 +43,7 @@ class FolderSource(Source):
 
     def read(self) -> Iterator[Sample]:
         for where, entry in self._entries:
-            if isinstance(entry, LaserRange):
+            if not isinstance(entry, FrameEntry):
                 yield entry
                 continue
             try:
@@ -57,7 +58,7 @@ class FolderSource(Source):
 def _key(row: _Entry) -> tuple[int, int, int]:
     entry = row[1]
     arrival = entry.t_ns if entry.arrival_ns is None else entry.arrival_ns
-    return order_key(arrival, isinstance(entry, LaserRange), entry.t_ns)
+    return order_key(arrival, StereoFrame if isinstance(entry, FrameEntry) else type(entry), entry.t_ns)
 
 
 def _out_of_order(rows: list[_Entry]) -> list[Notice]:
@@ -72,7 +73,7 @@ def _first_size(entries: list[_Entry]) -> tuple[int, int]:
     """The size of the first frame that can be read. InputError if its images differ in size, or none can be read."""
     problem = ""
     for where, entry in entries:
-        if isinstance(entry, LaserRange):
+        if not isinstance(entry, FrameEntry):
             continue
         try:
             return frame_size(entry.load())

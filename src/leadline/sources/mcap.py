@@ -12,12 +12,12 @@ from leadline.wire.images import SizeError
 from leadline.wire.notice import Notice, NoticeKind
 from leadline.wire.recording import RecordingReader
 from leadline.wire.rig_text import rig_from_text
-from leadline.wire.ros2_definitions import LASER, LEFT_IMAGE, RIGHT_IMAGE, SAMPLE_INFO
+from leadline.wire.ros2_definitions import LASER, LEFT_IMAGE, MOTION, RIGHT_IMAGE, SAMPLE_INFO
 from leadline.wire.ros2_samples import SampleAssembler
 from leadline.wire.stamps import format_stamp
 from leadline.wire.truth import parse_truth
 
-_TOPICS = (LEFT_IMAGE, RIGHT_IMAGE, LASER, SAMPLE_INFO)
+_TOPICS = (LEFT_IMAGE, RIGHT_IMAGE, LASER, MOTION, SAMPLE_INFO)
 Tell = Callable[[Notice], None]
 
 

@@ -1,4 +1,4 @@
-"""A dive as a folder: ``frames.csv``, ``laser.csv``, optional ``truth.csv`` and ``rig.yaml``.
+"""A dive as a folder: ``frames.csv``, ``laser.csv``, optional ``motion.csv``, ``truth.csv`` and ``rig.yaml``.
 
 Tables are read on opening, images when their turn comes. A row that makes no sense is left out and told with its place;
 InputError only where no dive is left.
@@ -13,13 +13,15 @@ from pathlib import Path
 import numpy as np
 
 from leadline.errors import InputError
-from leadline.samples import Image, LaserRange, StereoFrame
+from leadline.samples import Image, LaserRange, StereoFrame, VehicleMotion
 from leadline.wire.images import SizeError, decode_image, require_same_size
 from leadline.wire.notice import Notice, NoticeKind
 from leadline.wire.table import Row, read_table
 
 FRAME_HEADERS = (("t_s", "left", "right"), ("t_s", "stereo"))
 LASER_HEADER = ("t_s", "range_m")
+VELOCITY, ROTATION = ("vx_m_s", "vy_m_s", "vz_m_s"), ("wx_rad_s", "wy_rad_s", "wz_rad_s")
+MOTION_SIGMAS = ("velocity_sigma_m_s", "rotation_sigma_rad_s")
 
 Tell = Callable[[Notice], None]
 
@@ -130,3 +132,36 @@ def _laser_range(row: Row, tell: Tell) -> LaserRange:
         except ValueError as error:
             tell(Notice(NoticeKind.IGNORED, row.where, str(error)))
     return LaserRange(t_ns, range_m, quality, arrival_ns)
+
+
+def read_motion(folder: Path, tell: Tell) -> list[tuple[str, VehicleMotion]]:
+    """The rows of ``motion.csv`` in file order with their places; [] without the file."""
+    path = folder / "motion.csv"
+    if not path.is_file():
+        return []
+    motions = []
+    for row in read_table(path, [("t_s", *VELOCITY), ("t_s", *ROTATION)]):
+        try:
+            motions.append((row.where, _vehicle_motion(row)))
+        except ValueError as error:
+            tell(Notice(NoticeKind.SKIPPED, row.where, str(error)))
+    return motions
+
+
+def _vehicle_motion(row: Row) -> VehicleMotion:
+    velocity, rotation = _vector(row, VELOCITY), _vector(row, ROTATION)
+    if velocity is None and rotation is None:
+        raise ValueError("neither a velocity nor a rotation")
+    sigmas = {name: row.number(name) for name in MOTION_SIGMAS if row.cells.get(name)}
+    for name, sigma in sigmas.items():
+        if sigma <= 0:
+            raise ValueError(f"{name} must be positive")
+    return VehicleMotion(row.stamp("t_s"), velocity, rotation, **sigmas, arrival_ns=row.optional_stamp("t_arrival_s"))
+
+
+def _vector(row: Row, columns: tuple[str, ...]) -> tuple[float, float, float] | None:
+    """None where all three cells are empty (a sensor without its lock); ValueError where only some are."""
+    if not any(row.cells.get(column) for column in columns):
+        return None
+    x, y, z = (row.number(column) for column in columns)
+    return x, y, z

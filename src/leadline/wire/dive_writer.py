@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from leadline.errors import InputError
-from leadline.samples import Image, LaserRange, Sample, StereoFrame, Truth
+from leadline.samples import Image, LaserRange, Sample, StereoFrame, Truth, VehicleMotion
+from leadline.wire.dive_folder import MOTION_SIGMAS, ROTATION, VELOCITY
 from leadline.wire.images import SUFFIX, encode_jpeg, encode_png, image_format
 from leadline.wire.stamps import format_stamp
 from leadline.wire.table import write_table
@@ -38,11 +39,14 @@ def write_dive(
     folder = new_folder(Path(folder))
     frames: list[list[str]] = []
     readings: list[list[str]] = []
+    motions: list[list[str]] = []
     for sample in samples:
         if isinstance(sample, LaserRange):
             quality = "" if sample.quality is None else repr(float(sample.quality))
             times = [format_stamp(sample.t_ns), repr(float(sample.range_m)), _stamp(sample.arrival_ns)]
             readings.append([*times, quality])
+        elif isinstance(sample, VehicleMotion):
+            motions.append(_motion_cells(sample))
         else:
             names = _write_images(folder, len(frames), sample, images)
             times = [_stamp(t_ns) for t_ns in (sample.arrival_ns, sample.left_t_ns, sample.right_t_ns)]
@@ -50,6 +54,9 @@ def write_dive(
     _write_full_columns(folder / "frames.csv", ("t_s", "left", "right", *_FRAME_TIMES), frames, required=3)
     if readings:
         _write_full_columns(folder / "laser.csv", ("t_s", "range_m", "t_arrival_s", "quality"), readings, required=2)
+    if motions:
+        header = ("t_s", *VELOCITY, *ROTATION, *MOTION_SIGMAS, "t_arrival_s")
+        _write_full_columns(folder / "motion.csv", header, motions, required=1)
     if truth:
         write_truth(folder / "truth.csv", truth)
     if details:
@@ -64,6 +71,14 @@ def new_folder(folder: Path) -> Path:
         raise InputError("there is something already", str(folder), "give a new or an empty folder")
     folder.mkdir(parents=True, exist_ok=True)
     return folder
+
+
+def _motion_cells(motion: VehicleMotion) -> list[str]:
+    vectors = [
+        [""] * 3 if v is None else [repr(float(x)) for x in v] for v in (motion.velocity_m_s, motion.rotation_rad_s)
+    ]
+    sigmas = [repr(float(sigma)) for sigma in (motion.velocity_sigma_m_s, motion.rotation_sigma_rad_s)]
+    return [format_stamp(motion.t_ns), *vectors[0], *vectors[1], *sigmas, _stamp(motion.arrival_ns)]
 
 
 def _stamp(t_ns: int | None) -> str:

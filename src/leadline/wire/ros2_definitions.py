@@ -7,6 +7,7 @@ RIGHT_IMAGE = "/leadline/right/image/compressed"
 LEFT_INFO = "/leadline/left/camera_info"
 RIGHT_INFO = "/leadline/right/camera_info"
 LASER = "/leadline/laser/range"
+MOTION = "/leadline/motion"
 DETECTIONS = "/leadline/detections"
 TARGET = "/leadline/target"
 DIAGNOSTICS = "/diagnostics"
@@ -19,6 +20,7 @@ TOPIC_TYPES = {
     LEFT_INFO: "sensor_msgs/msg/CameraInfo",
     RIGHT_INFO: "sensor_msgs/msg/CameraInfo",
     LASER: "sensor_msgs/msg/Range",
+    MOTION: "geometry_msgs/msg/TwistWithCovarianceStamped",
     DETECTIONS: "vision_msgs/msg/Detection2DArray",
     TARGET: "geometry_msgs/msg/PoseWithCovarianceStamped",
     DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
@@ -40,6 +42,10 @@ _FIELDS = {
         "float32 min_range\nfloat32 max_range\nfloat32 range\nfloat32 variance"
     ),
     "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
+    "geometry_msgs/TwistWithCovariance": "geometry_msgs/Twist twist\nfloat64[36] covariance",
+    "geometry_msgs/TwistWithCovarianceStamped": "std_msgs/Header header\ngeometry_msgs/TwistWithCovariance twist",
     "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
     "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
     "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance",

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from leadline.samples import NS_PER_S, Array, Detection, LaserRange, Solution, Status, StereoFrame
+from leadline.samples import NS_PER_S, Array, Detection, LaserRange, Solution, Status, StereoFrame, VehicleMotion
 from leadline.wire.images import image_format
 from leadline.wire.solutions import HEADER, solution_row
 from leadline.wire.stamps import format_stamp
@@ -24,6 +24,7 @@ Message = dict[str, Any]
 
 LEFT_FRAME, RIGHT_FRAME, LASER_FRAME = "left_camera_optical", "right_camera_optical", "laser"
 FRAME_NAME, LASER_NAME, SOLUTION_NAME = "leadline/frame", "leadline/laser", "leadline/localizer"
+MOTION_NAME = "leadline/motion"
 _INFRARED = 1  # the message knows ultrasound and infrared; light is the nearer of the two
 _BEAM_RAD = 0.001
 _MAX_RANGE_M = 100.0
@@ -55,6 +56,26 @@ def range_message(reading: LaserRange) -> Message:
         "range": min(reading.range_m, 1e30),
         "variance": 0.0,  # 0: not known
     }
+
+
+def motion_message(motion: VehicleMotion) -> Message:
+    """The vehicle's twist in the left camera's frame; a variance of -1 where a part is not measured (as in ROS)."""
+    parts = (motion.velocity_m_s, motion.velocity_sigma_m_s), (motion.rotation_rad_s, motion.rotation_sigma_rad_s)
+    variances = [-1.0 if vector is None else sigma**2 for vector, sigma in parts for _ in range(3)]
+    linear, angular = (dict(zip("xyz", map(float, vector or (0.0, 0.0, 0.0)), strict=True)) for vector, _ in parts)
+    covariance = [float(number) for number in np.diag(variances).ravel()]
+    twist = {"twist": {"linear": linear, "angular": angular}, "covariance": covariance}
+    return {"header": header(motion.t_ns, LEFT_FRAME), "twist": twist}
+
+
+def motion_info(motion: VehicleMotion) -> Message:
+    """What the message has no field for: when it arrived, and the sigmas to the last digit."""
+    values = {
+        "velocity_sigma_m_s": repr(float(motion.velocity_sigma_m_s)),
+        "rotation_sigma_rad_s": repr(float(motion.rotation_sigma_rad_s)),
+        "arrival_s": _stamp(motion.arrival_ns),
+    }
+    return diagnostic(motion.t_ns, MOTION_NAME, values)
 
 
 def frame_info(frame: StereoFrame) -> Message:

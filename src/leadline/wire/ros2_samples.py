@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
-from leadline.samples import LaserRange, Sample, StereoFrame
+from leadline.samples import LaserRange, Sample, StereoFrame, VehicleMotion
 from leadline.wire.images import decode_image, require_same_size
 from leadline.wire.notice import Notice, NoticeKind
-from leadline.wire.ros2_definitions import LASER, LEFT_IMAGE, RIGHT_IMAGE, SAMPLE_INFO
-from leadline.wire.ros2_messages import FRAME_NAME, stamp_ns
+from leadline.wire.ros2_definitions import LASER, LEFT_IMAGE, MOTION, RIGHT_IMAGE, SAMPLE_INFO
+from leadline.wire.ros2_messages import FRAME_NAME, MOTION_NAME, stamp_ns
 from leadline.wire.stamps import format_stamp, parse_stamp
 
 _WAITING = 16  # images that wait for their partner; more than that is a lost partner
@@ -31,6 +32,7 @@ class SampleAssembler:
         self._images: dict[str, dict[int, bytes]] = {LEFT_IMAGE: {}, RIGHT_IMAGE: {}}
         self._own = False
         self._announced: tuple[int, dict[str, str]] | None = None  # a frame whose images are to come
+        self._motion: dict[str, str] | None = None  # of a motion whose message is to come
 
     def take(self, topic: str, message: Any, log_ns: int) -> Sample | None:
         """One message, logged at ``log_ns``. Raises SizeError for a pair of unequal images."""
@@ -49,6 +51,8 @@ class SampleAssembler:
             return self._complete() if self._own else self._nearest_pair(topic, stamp_ns(message), log_ns)
         if topic == LASER and not self._own:
             return self._checked_range(LaserRange(stamp_ns(message), float(message.range), None, log_ns))
+        if topic == MOTION:
+            return self._vehicle_motion(message, log_ns)
         return None
 
     def finish(self) -> None:
@@ -60,6 +64,9 @@ class SampleAssembler:
     def _announce(self, message: Any) -> Sample | None:
         t_ns, status = stamp_ns(message), message.status[0]
         values = {pair.key: pair.value for pair in status.values}
+        if status.name == MOTION_NAME:
+            self._motion = values
+            return None
         if status.name != FRAME_NAME:
             quality = float(values["quality"]) if "quality" in values else None
             arrival_ns = _optional(values, "arrival_s")
@@ -67,6 +74,29 @@ class SampleAssembler:
         self.finish()
         self._announced = t_ns, values
         return self._complete()
+
+    def _vehicle_motion(self, message: Any, log_ns: int) -> VehicleMotion | None:
+        """A part whose variance is negative is not measured; one of 0 is of unknown certainty: the usual one."""
+        t_ns, said = stamp_ns(message), self._motion
+        self._motion = None
+        parts: dict[str, Any] = {}
+        for name, twist, sigma_name, variance in (
+            ("velocity_m_s", message.twist.twist.linear, "velocity_sigma_m_s", message.twist.covariance[0]),
+            ("rotation_rad_s", message.twist.twist.angular, "rotation_sigma_rad_s", message.twist.covariance[21]),
+        ):
+            vector = float(twist.x), float(twist.y), float(twist.z)
+            if variance < 0 or not all(map(math.isfinite, vector)):
+                continue
+            parts[name] = vector
+            if variance > 0:
+                parts[sigma_name] = math.sqrt(variance)
+        if said is not None:
+            sigmas = {name: float(said[name]) for name in ("velocity_sigma_m_s", "rotation_sigma_rad_s")}
+            return VehicleMotion(t_ns, **{**parts, **sigmas}, arrival_ns=_optional(said, "arrival_s"))
+        if not {"velocity_m_s", "rotation_rad_s"} & parts.keys():
+            self._skip("motion", t_ns, "neither a velocity nor a rotation")
+            return None
+        return VehicleMotion(t_ns, **parts, arrival_ns=log_ns)
 
     def _complete(self) -> StereoFrame | None:
         """The announced frame, once both images are there."""
