@@ -67,7 +67,7 @@ class OutlineConfig(Section):
     """Ranging a ball of known size by its outline."""
 
     reach: tuple[Positive, ...] = Field((0.15, 0.05), description="how far off the outline is looked for, in radii")
-    min_edges: int = Field(40, ge=10, description="edge pixels needed, of 180 in each image")
+    min_edges: int = Field(16, ge=6, description="edges that must agree, of 60 in each image")
     edge_sigma_px: float = Field(0.3, gt=0, description="noise of one edge")
     bias_sigma_px: float = Field(0.4, ge=0, description="error common to all edges (shading, blur)")
 

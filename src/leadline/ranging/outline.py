@@ -1,45 +1,58 @@
 """A ball ranged by its outline: rays that graze it must pass its centre at one radius.
 
-The outline is looked for where the prediction has it, along normals in both images; each edge pixel becomes a ray in
-the water (refraction-true), and the ball is fitted so that every such ray is tangent. It needs contrast, no texture. A
-known radius gives the range by the size; an unknown one is measured, since two outlines also triangulate the centre.
+The outline is looked for where the prediction has it, along normals in the images; each edge becomes a ray in the water
+(refraction-true), and the ball is fitted so that every such ray is tangent. It needs contrast, no texture. A known
+radius gives the range by the size, from one image if need be; an unknown one is measured, since two outlines also
+triangulate the centre.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
-from scipy import ndimage
 
 from leadline.config import OutlineConfig
-from leadline.ranging.images import Float32, Spline, grey
+from leadline.ranging.images import Float32
 from leadline.ranging.stereo import Pair
 from leadline.rig import Rig, Side
 from leadline.samples import Array, Image, Kind, Measurement, Rejected
 from leadline.target import Sphere
 
-DIRECTIONS = 180
-STEP_PX = 0.5
-INSIDE, OUTSIDE = (0.75, 0.82, 0.9), (1.1, 1.18, 1.26)  # rings, in radii, that show the two colours
-ITERATIONS = 10
-NEIGHBOURS = 3  # an edge is averaged over three normals, so that as many share their noise
+EDGES = 60  # directions about the ball
+LATERAL = 3  # normals that are averaged to one edge
+BLUR_RADII, LEAST_BLUR_PX, BLUR_PER_STEP = 1 / 150, 1.0, 0.5  # the scale of the edge filter
+SETTLED_M = 1e-5
+LEAST_EDGES = 4
+LEAST_REACH_PX = 5.0
+RINGS = np.array([-0.25, -0.18, -0.1, 0.1, 0.18, 0.26])  # radii from the outline, where the two colours are read
+SETTLED = 0.3  # of the reach: a ball that moved by less was looked for in the right place
+PASSES = 3
+ITERATIONS = 15
 MAX_CONDITION = 1e7
-MIN_AGREED = 0.4
+AGREED_SIGMAS, MIN_AGREED = 3.0, 0.4
+SIDES: tuple[Side, ...] = ("left", "right")
+TURN = np.stack([f(np.arange(EDGES) * (2 * np.pi / EDGES)) for f in (np.cos, np.sin)], axis=1)
+
+AHEAD, BEHIND = ((np.arange(EDGES) + by) % EDGES for by in (1, -1))
 
 
-def _pixels(image: Image, q_px: Array) -> Array:
-    """Colours (M, 3) of the whole pixels at points that lie inside the image."""
-    inside = np.isfinite(q_px).all(axis=1) & ((q_px >= 0) & (q_px < [image.shape[1] - 1, image.shape[0] - 1])).all(
-        axis=1
-    )
-    columns, rows = np.round(q_px[inside]).astype(int).T
-    return np.asarray(image[rows, columns], float)
+def _slope() -> Float32:
+    """(1, K) the derivative of a Gaussian, its sigma in steps."""
+    offset = np.arange(-8, 9)
+    weight = offset * np.exp(-0.5 * (offset * BLUR_PER_STEP) ** 2)
+    return np.asarray(weight / (weight @ offset), np.float32)[None]
+
+
+SLOPE = _slope()
 
 
 @dataclass(frozen=True, slots=True)
 class _Edges:
-    """Edge rays of one camera (M, 3), (M, 3) and the metres at the ball that a pixel is worth (M,)."""
+    """Edge rays (M, 3), (M, 3) and the metres at the ball that a pixel is worth (M,)."""
 
     origins_m: Array
     directions: Array
@@ -49,130 +62,163 @@ class _Edges:
 class OutlineRanger:
     """Measurement ``size`` of a sphere: its centre, and its radius where that is not known."""
 
-    def __init__(self, rig: Rig, target: Sphere, settings: OutlineConfig) -> None:
-        self._rig, self._target, self._settings = rig, target, settings
+    def __init__(self, target: Sphere, settings: OutlineConfig) -> None:
+        self._target, self._settings = target, settings
 
-    def measure(self, t_ns: int, pair: Pair, x: Array) -> Measurement | Rejected:
-        """The ball (3 + k,) from both outlines near a predicted one, or why there is none."""
-        fitted = x
-        for reach in self._settings.reach:  # wide first, then close, when the normals start from the right place
-            edges = [
-                self._edges(pair.left_image, fitted, "left", reach),
-                self._edges(pair.right_image, fitted, "right", reach),
-            ]
-            origins, directions = (np.concatenate([getattr(e, n) for e in edges]) for n in ("origins_m", "directions"))
-            m_per_px = np.concatenate([e.m_per_px for e in edges])
-            if len(m_per_px) < self._settings.min_edges:
-                return Rejected(Kind.SIZE, t_ns, "too little outline")
-            result = self._fit(origins, directions, m_per_px, fitted)
-            if result is None:
-                return Rejected(Kind.SIZE, t_ns, "no round outline")
-            fitted, cov = result
-        eye = np.eye(len(fitted))
-        return Measurement(Kind.SIZE, t_ns, fitted, cov, lambda x: (x, eye))
+    def measure(self, t_ns: int, pair: Pair, x: Array, sides: Sequence[Side] = SIDES) -> Measurement | Rejected:
+        """The ball (3 + k,) from the outlines near a predicted one, or why there is none.
 
-    def _contour(self, ball: Array, side: Side, grow: float) -> Array:
-        """Pixels (DIRECTIONS, 2) of the ball's outline, its radius grown by a factor."""
-        pupil = np.zeros(3) if side == "left" else self._rig.T_left_right.t_m
-        to = ball[:3] - pupil
-        distance = float(np.linalg.norm(to))
-        radius = self._target.radius_m(ball) * grow
-        sine = min(radius / distance, 0.999)
-        across = np.linalg.svd(to[None])[2][1:]
-        turn = np.linspace(0, 2 * np.pi, DIRECTIONS, endpoint=False)
-        ring = np.cos(turn)[:, None] * across[0] + np.sin(turn)[:, None] * across[1]
-        points = ball[:3] - to * sine**2 + radius * np.sqrt(1 - sine**2) * ring
-        return self._rig.project(points)[0 if side == "left" else 1]
+        Looked for closely around the prediction, and only where that holds no ball, farther out.
+        """
+        wide, close = self._settings.reach
+        found = self._settle(pair, sides, x, close)
+        if isinstance(found, str):
+            found = self._fit(self._edges(pair, sides, x, wide), x)
+            found = found if isinstance(found, str) else self._settle(pair, sides, found[0], close)
+        if isinstance(found, str):
+            return Rejected(Kind.SIZE, t_ns, found)
+        ball, cov = found
+        eye = np.eye(len(ball))
+        return Measurement(Kind.SIZE, t_ns, ball, cov, lambda x: (x, eye))
 
-    def _contrast(self, image: Image, ball: Array, side: Side) -> Float32:
-        """The mix of colours in which the ball stands out best from what is around it (Fisher's discriminant)."""
-        if image.ndim == 2:
-            return image.astype(np.float32)
-        rings = [
-            np.concatenate([_pixels(image, self._contour(ball, side, grow)) for grow in factors])
-            for factors in (INSIDE, OUTSIDE)
-        ]
-        if min(len(ring) for ring in rings) < 20:
-            return grey(image)
-        within = sum(np.cov(ring.T) for ring in rings) + 4.0 * np.eye(3)  # 2 grey levels: no colour is free of noise
-        mix = np.linalg.solve(within, rings[0].mean(axis=0) - rings[1].mean(axis=0))
-        length = float(np.linalg.norm(mix))
-        return grey(image) if length == 0 else np.asarray(image @ (mix / length), np.float32)  # a black picture
+    def _settle(self, pair: Pair, sides: Sequence[Side], ball: Array, reach: float) -> tuple[Array, Array] | str:
+        """Fit until the normals start from where the ball is found, so that none is cut short."""
+        for _ in range(PASSES):
+            found = self._fit(self._edges(pair, sides, ball, reach), ball)
+            if isinstance(found, str):
+                return found
+            moved_m = np.abs(found[0] - ball) * [1, 1, self._target.radius_m(ball) / ball[2], *[1] * (len(ball) - 3)]
+            ball = found[0]
+            if moved_m.max() < SETTLED * reach * self._target.radius_m(ball):
+                return found
+        return "outline does not settle"
 
-    def _edges(self, colour: Image, ball: Array, side: Side, reach_radii: float) -> _Edges:
-        """Sub-pixel edges along the outline's normals, of the sign that most of the outline has."""
-        image = self._contrast(colour, ball, side)
-        inner, contour, outer = (self._contour(ball, side, g) for g in (0.99, 1.0, 1.01))
-        normal = outer - inner
-        nothing = _Edges(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
-        if not np.isfinite(normal).all(axis=1).any():
-            return nothing
-        size_px = float(np.nanmedian(np.linalg.norm(normal, axis=1))) / 0.02
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        reach = max(reach_radii * size_px, 5.0)
-        height, width = image.shape
-        inside = np.isfinite(contour).all(axis=1) & (
-            (contour > reach + 4) & (contour < [width - reach - 5, height - reach - 5])
-        ).all(axis=1)
-        contour, normal = contour[inside], normal[inside]
-        if len(contour) < 8:
-            return nothing
-        offset_px = self._strongest(image, contour, normal, reach, max(1.0, size_px / 150))
+    def _edges(self, pair: Pair, sides: Sequence[Side], ball: Array, reach_radii: float) -> _Edges:
+        """Sub-pixel edges of all views, of the sign that most of an outline has."""
+        images = {"left": pair.left_image, "right": pair.right_image}
+        found = [self._trace(pair.rig, images[side], ball, side, reach_radii) for side in sides]
+        return _Edges(*(np.concatenate([getattr(edges, name) for edges in found]) for name in _Edges.__slots__))
+
+    def _trace(self, rig: Rig, image: Image, ball: Array, side: Side, reach_radii: float) -> _Edges:
+        contour, normal, m_per_px = self._contour(rig, ball, side)
+        size_px = self._target.radius_m(ball) / _median(m_per_px)
+        reach = max(reach_radii * size_px, LEAST_REACH_PX)
+        low, high = reach + 2, np.array([image.shape[1], image.shape[0]]) - reach - 3
+        inside = ((contour > low) & (contour < high)).all(axis=1)  # not so where NaN
+        if np.count_nonzero(inside) < LEAST_EDGES:
+            return _Edges(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
+        lines = _beside(contour)[inside], normal[inside, None]
+        step = BLUR_PER_STEP * max(LEAST_BLUR_PX, BLUR_RADII * size_px)
+        t_px = step * np.arange(-np.ceil(reach / step), np.ceil(reach / step) + 1)
+        offset_px = _strongest(_profiles(image, *lines, t_px, size_px), t_px)
         found = np.isfinite(offset_px)
-        at = contour[found] + offset_px[found, None] * normal[found]
-        origins, directions = self._rig.rays(at, side)
-        half = 0.5 * normal[found]
-        m_per_px = np.abs(
-            self._miss(ball, *self._rig.rays(at + half, side))[0]
-            - self._miss(ball, *self._rig.rays(at - half, side))[0]
-        )
-        return _Edges(origins, directions, m_per_px)
+        at = contour[inside][found] + offset_px[found, None] * normal[inside][found]
+        return _Edges(*rig.rays(at, side), m_per_px[inside][found])
 
-    @staticmethod
-    def _strongest(image: Float32, contour: Array, normal: Array, reach: float, blur_px: float) -> Array:
-        """Offset (M,) of the strongest edge along each normal; NaN where none stands out."""
-        t = np.arange(-reach, reach + STEP_PX / 2, STEP_PX)
-        along = contour[:, None] + t[None, :, None] * normal[:, None]
-        spline = Spline.of(image, along.reshape(-1, 2), 3)
-        profile = np.asarray(spline.sample(along[..., 0], along[..., 1]), float)
-        slope = ndimage.gaussian_filter1d(profile, blur_px / STEP_PX, axis=1, order=1)
-        slope = ndimage.uniform_filter1d(slope, 3, axis=0, mode="nearest")
-        sign = np.sign(np.nansum(slope[:, len(t) // 4 : -len(t) // 4]))
-        slope = slope * (sign or 1.0)
-        best = np.clip(np.nan_to_num(slope, nan=-1.0).argmax(axis=1), 1, len(t) - 2)
-        rows = np.arange(len(best))
-        low, mid, high = slope[rows, best - 1], slope[rows, best], slope[rows, best + 1]
-        curvature = low - 2 * mid + high
-        shift = np.where(curvature < 0, 0.5 * (low - high) / np.where(curvature < 0, curvature, 1), np.nan)
-        strong = mid > 3 * np.nanmedian(np.abs(slope), axis=1)
-        at_end = (best < 3) | (best > len(t) - 4)
-        return np.asarray(np.where(strong & ~at_end, t[best] + shift * STEP_PX, np.nan))
+    def _contour(self, rig: Rig, ball: Array, side: Side) -> tuple[Array, Array, Array]:
+        """Pixels (N, 2) of the ball's outline, outward normals (N, 2), and the metres (N,) that a pixel is worth."""
+        to = ball[:3] if side == "left" else ball[:3] - rig.T_left_right.t_m
+        distance = math.hypot(*to)
+        radius = self._target.radius_m(ball)
+        sine = min(radius / distance, 0.999)
+        x, y, z = to / distance
+        flat = math.hypot(x, z)
+        right, down = np.array([z, 0.0, -x]) / flat, np.array([-x * y, flat**2, -y * z]) / flat
+        outward = math.sqrt(1 - sine**2) * (TURN @ np.stack([right, down])) - sine / distance * to
+        contour, jacobian = rig.project_with_jacobian(ball[:3] + radius * outward, side)
+        grown = (jacobian @ outward[:, :, None])[:, :, 0]
+        px_per_m = np.sqrt(np.einsum("ni,ni->n", grown, grown))
+        return contour, grown / px_per_m[:, None], 1 / px_per_m
 
-    def _miss(self, ball: Array, origins_m: Array, directions: Array) -> tuple[Array, Array]:
+    def _miss(self, ball: Array, edges: _Edges) -> tuple[Array, Array]:
         """How far (N,) rays pass outside the ball's surface, and the gradient over the ball (N, 3 + k)."""
-        to = ball[:3] - origins_m
-        aside = to - np.einsum("ni,ni->n", to, directions)[:, None] * directions
+        to = ball[:3] - edges.origins_m
+        aside = to - np.einsum("ni,ni->n", to, edges.directions)[:, None] * edges.directions
         distance = np.linalg.norm(aside, axis=1)
-        gradient = np.column_stack([aside / distance[:, None], *[-np.ones(len(distance))] * (len(ball) - 3)])
+        gradient = -np.ones((len(distance), len(ball)))
+        gradient[:, :3] = aside / distance[:, None]
         return distance - self._target.radius_m(ball), gradient
 
-    def _fit(self, origins_m: Array, directions: Array, m_per_px: Array, ball: Array) -> tuple[Array, Array] | None:
+    def _fit(self, edges: _Edges, ball: Array) -> tuple[Array, Array] | str:
         """Gauss-Newton with Cauchy weights; a bias common to all edges (blur, shading) stays in the covariance."""
-        sigma = self._settings.edge_sigma_px * m_per_px
+        if len(edges.m_per_px) < self._settings.min_edges:
+            return "too little outline"
+        sigma = self._settings.edge_sigma_px * edges.m_per_px
         scale = 10.0
         for _ in range(ITERATIONS):
-            miss, gradient = self._miss(ball, origins_m, directions)
+            miss, gradient = self._miss(ball, edges)
             u = miss / sigma
             weight = 1 / (sigma**2 * (1 + (u / (2 * scale)) ** 2))
-            information = (gradient * weight[:, None]).T @ gradient
-            if np.linalg.cond(information) > MAX_CONDITION:
-                return None
-            ball = ball - np.linalg.solve(information, gradient.T @ (weight * miss))
-            scale = max(1.0, 1.4826 * float(np.median(np.abs(u))))
+            weighted = gradient.T * weight
+            information = weighted @ gradient
+            try:
+                step = np.linalg.solve(information, weighted @ miss)
+            except np.linalg.LinAlgError:
+                return "no round outline"
+            ball = ball - step
+            before, scale = scale, max(1.0, 1.4826 * _median(np.abs(u)))
             if not np.isfinite(ball).all() or ball[2] <= 0 or self._target.radius_m(ball) <= 0.01:
-                return None
-        if np.mean(np.abs(u) < 3) < MIN_AGREED:
-            return None
+                return "no round outline"
+            if abs(scale - before) < 0.01 * scale and np.abs(step).max() < SETTLED_M:
+                break
+        agreed = np.count_nonzero(np.abs(u) < AGREED_SIGMAS)
+        if agreed < max(self._settings.min_edges, MIN_AGREED * len(u)) or np.linalg.cond(information) > MAX_CONDITION:
+            return "no round outline"
         inverse = np.linalg.inv(information)
-        common = inverse @ (gradient.T @ (weight * m_per_px)) * self._settings.bias_sigma_px
-        return ball, inverse * scale**2 * NEIGHBOURS + np.outer(common, common)
+        common = inverse @ (weighted @ edges.m_per_px) * self._settings.bias_sigma_px
+        return ball, inverse * scale**2 + np.outer(common, common)
+
+
+def _median(values: Array) -> float:
+    """NumPy's own takes ten times as long on a hundred numbers."""
+    return float(np.partition(values, len(values) // 2)[len(values) // 2])
+
+
+def _beside(contour: Array) -> Array:
+    """(N, LATERAL, 2) each point of a closed curve with points beside it, a part of the way to its neighbours."""
+    ahead, behind = contour[AHEAD], contour[BEHIND]
+    s = ((np.arange(LATERAL) - LATERAL // 2) / LATERAL)[:, None]
+    return np.asarray(
+        contour[:, None] + s / 2 * (ahead - behind)[:, None] + s**2 / 2 * (ahead - 2 * contour + behind)[:, None]
+    )
+
+
+def _profiles(image: Image, start: Array, normal: Array, t_px: Array, size_px: float) -> Float32:
+    """Grey levels (N, T) along normals, in the mix of colours that tells the ball best from what is around it."""
+    t = np.concatenate([t_px, size_px * RINGS]).astype(np.float32)
+    x, y = (start[..., i, None].astype(np.float32) + normal[..., i, None].astype(np.float32) * t for i in (0, 1))
+    x, y = x.reshape(-1, len(t)), y.reshape(-1, len(t))
+    looked_up = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    seen: Float32 = looked_up.astype(np.float32)
+    if image.ndim == 3:
+        seen = np.asarray(cv2.transform(seen, _contrast(seen[:, len(t_px) :])[None]), np.float32)
+    return np.asarray(seen[:, : len(t_px)].reshape(-1, LATERAL, len(t_px)).sum(axis=1))
+
+
+def _contrast(rings: Float32) -> Float32:
+    """(3,) mix of the colours by which the inner rings stand out best from the outer ones (Fisher's discriminant)."""
+    half = len(RINGS) // 2
+    inner, outer = rings[:, :half].reshape(-1, 3), rings[:, half:].reshape(-1, 3)
+    means = [side.sum(axis=0) / len(side) for side in (inner, outer)]
+    within = 4.0 * np.eye(3, dtype=np.float32)  # 2 grey levels: no colour is free of noise
+    for side, mean in zip((inner, outer), means, strict=True):
+        within = within + (side - mean).T @ (side - mean) / np.float32(len(side))
+    mix = np.linalg.solve(within, means[0] - means[1])
+    length = float(np.sqrt(mix @ mix))
+    return np.full(3, 1 / 3, np.float32) if length == 0 else (mix / length).astype(np.float32)  # 0: a black picture
+
+
+def _strongest(profile: Float32, t_px: Array) -> Array:
+    """Offset (M,) of the strongest edge along each normal; NaN where none stands out."""
+    slope = cv2.filter2D(profile, cv2.CV_32F, SLOPE, borderType=cv2.BORDER_REPLICATE)
+    sign = np.sign(slope[:, len(t_px) // 4 : -len(t_px) // 4].sum())
+    slope = slope * (sign or 1.0)
+    best = slope[:, 1:-1].argmax(axis=1) + 1
+    rows = np.arange(len(best))
+    low, mid, high = slope[rows, best - 1], slope[rows, best], slope[rows, best + 1]
+    curvature = low - 2 * mid + high
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shift = np.where(curvature < 0, 0.5 * (low - high) / curvature, np.nan)
+    strong = mid > 3 * np.partition(np.abs(slope), len(t_px) // 2, axis=1)[:, len(t_px) // 2]
+    at_end = (best < 3) | (best > len(t_px) - 4)
+    return np.asarray(np.where(strong & ~at_end, t_px[best] + shift * (t_px[1] - t_px[0]), np.nan))
