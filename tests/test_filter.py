@@ -8,7 +8,7 @@ import pytest
 from leadline.estimation import Filter, FilterSettings
 from leadline.samples import NS_PER_S, Array, Kind, Measurement, Rejected
 
-GAUSSIAN = FilterSettings(student_nu=1e9, gate_sigmas=50.0)
+GAUSSIAN = FilterSettings(student_nu=1e9, gate_sigmas=50.0, adapt=False, laser_clock_sigma_s=0.0)
 
 
 def position(t_s: float, z: Array, sigma_m: float, kind: Kind = Kind.STEREO) -> Measurement:

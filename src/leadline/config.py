@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -84,12 +84,17 @@ class BeamConfig(Section):
 class FilterConfig(Section):
     """One state for both sensors: position, velocity, shape."""
 
+    model: Literal["velocity", "acceleration"] = Field("velocity", description="what is constant but for noise")
+    manoeuvre_s: Positive = Field(1.0, description="how long an acceleration lasts, for the model of that name")
     acceleration_psd: float = Field(0.01, gt=0, description="how the target's motion changes, m^2/s^3")
+    adapt: bool = Field(True, description="whether noises follow what the measurements show, from what is stated")
     initial_speed_m_s: float = Field(0.4, gt=0, description="speed expected of a target just found")
     gate_sigmas: float = Field(5.0, gt=1, description="a measurement farther off than this is turned away")
     student_nu: float = Field(4.0, gt=2, description="degrees of freedom of the noise; small: heavy tails")
     horizon_s: float = Field(2.0, gt=0, description="a sample later than this is too late to be replayed")
     recover_after: int = Field(3, ge=2, description="turned-away positions that agree before starting again")
+    recover_after_s: float = Field(0.3, ge=0, description="and how long they must go on")
+    laser_clock_sigma_s: float = Field(0.05, ge=0, description="offset of the laser's clock; 0: it has none")
 
 
 class StatusConfig(Section):

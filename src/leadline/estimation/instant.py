@@ -1,0 +1,125 @@
+"""What is measured at one instant, taken one after another into the state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from leadline.estimation.models import cross
+from leadline.estimation.settings import FilterSettings
+from leadline.estimation.state import State
+from leadline.estimation.update import Linear, Refused, update
+from leadline.samples import Array, Kind, Measurement, Rejected, VehicleMotion
+
+UNMEASURED_TURN_RAD_S = 0.05  # how much a vehicle may turn while its velocity is measured and its rotation is not
+
+
+def take(
+    state: State, measurements: Sequence[Measurement], settings: FilterSettings
+) -> tuple[State, list[Kind], list[Rejected]]:
+    """The state after an instant's measurements, the kinds taken, and those turned away with why."""
+    used: list[Kind] = []
+    rejected: list[Rejected] = []
+    fixed, predicted = False, state
+    for m in measurements:
+        state, refused = _take(state, m, settings)
+        if refused is None:
+            used.append(m.kind)
+            fixed = fixed or len(m.z) >= 3
+        else:
+            rejected.append(Rejected(m.kind, m.t_ns, refused.reason, refused.nis))
+    if settings.adapt and fixed:
+        moved = state.y[:3] - predicted.y[:3]
+        noise = state.noise.after_correction(moved, predicted.P[:3, :3], state.P[:3, :3], settings.acceleration_psd)
+        state = replace(state, noise=noise)
+    return state, used, rejected
+
+
+def _take(state: State, m: Measurement, settings: FilterSettings) -> tuple[State, Refused | None]:
+    scale = state.noise.scale(m.kind)
+    cov = m.cov if scale == 1.0 else m.cov * scale
+    linear = _reading(state, m) if m.kind is Kind.LASER else _plain(state, m)
+    result = update(state.y, state.P, m.z, cov, linear, settings.gate_sigmas, settings.student_nu)
+    refusals = state.refused
+    if m.kind is Kind.LASER:
+        refusals = state.refused + 1 if isinstance(result, Refused) else 0
+        if refusals >= settings.recover_after and settings.laser_clock_sigma_s > 0:
+            return _with_a_new_clock(state, m, cov, settings)
+    nis = result.nis if isinstance(result, Refused) else result[2]
+    noise = state.noise
+    if settings.adapt and nis is not None and np.isfinite(nis):
+        noise = noise.after_innovation(m.kind, nis, len(m.z))
+    if isinstance(result, Refused):
+        return replace(state, noise=noise, refused=refusals), result
+    return State(state.t_ns, result[0], result[1], state.k, noise, state.turn_rad_s, refusals), None
+
+
+def _with_a_new_clock(
+    state: State, m: Measurement, cov: Array, settings: FilterSettings
+) -> tuple[State, Refused | None]:
+    """Readings that are turned away one after another: perhaps the laser's clock was set. Is it that?"""
+    P = state.P.copy()
+    P[-1, :] = P[:, -1] = 0.0
+    P[-1, -1] = settings.laser_clock_sigma_s**2
+    result = update(state.y, P, m.z, cov, _reading(replace(state, P=P), m), settings.gate_sigmas, settings.student_nu)
+    if isinstance(result, Refused):
+        return replace(state, refused=state.refused + 1), result
+    return replace(state, y=result[0], P=result[1], refused=0), None
+
+
+def take_motion(state: State, motion: VehicleMotion, settings: FilterSettings) -> State:
+    """The vehicle's velocity: what stands still moves by -velocity - rotation x p."""
+    if motion.velocity_m_s is None:
+        return state
+    d, n, turn = 3 + state.k, len(state.y), state.turn_rad_s
+    H = np.zeros((3, n))
+    H[:, d : d + 3] = np.eye(3)
+    if turn is not None:
+        H[:, :3] = cross(turn)
+    turn_sigma = UNMEASURED_TURN_RAD_S if turn is None else motion.rotation_sigma_rad_s
+    lever = cross(state.y[:3]) * turn_sigma
+    cov = motion.velocity_sigma_m_s**2 * np.eye(3) + lever @ lever.T
+    z = -np.array(motion.velocity_m_s)
+    result = update(state.y, state.P, z, cov, lambda y: (H @ y, H, 0.0), settings.gate_sigmas, settings.student_nu)
+    return state if isinstance(result, Refused) else replace(state, y=result[0], P=result[1])
+
+
+def _plain(state: State, m: Measurement) -> Linear:
+    d, n = 3 + state.k, len(state.y)
+
+    def linear(y: Array) -> tuple[Array, Array, float] | None:
+        seen = m.predict(y[:d])
+        if seen is None:
+            return None
+        H = np.zeros((len(seen[0]), n))
+        H[:, :d] = seen[1]
+        return seen[0], H, 0.0
+
+    return linear
+
+
+def _reading(state: State, m: Measurement) -> Linear:
+    """A reading was taken tau after its stamp, when the target was v tau farther on.
+
+    Both are uncertain, and the variance of their product is noise besides (second-order filter: Jazwinski 1970, 9.3).
+    """
+    d, n, P = 3 + state.k, len(state.y), state.P
+
+    def linear(y: Array) -> tuple[Array, Array, float] | None:
+        x, velocity, tau = y[:d].copy(), y[d : d + 3], float(y[-1])
+        x[:3] += tau * velocity
+        seen = m.predict(x)
+        if seen is None:
+            return None
+        h, H_x = seen
+        slope = H_x[0, :3]
+        H = np.zeros((1, n))
+        H[:, :d] = H_x
+        H[0, d : d + 3] = tau * slope
+        H[0, -1] = slope @ velocity
+        extra = float(slope @ P[d : d + 3, d : d + 3] @ slope * P[-1, -1] + (slope @ P[d : d + 3, -1]) ** 2)
+        return h, H, extra
+
+    return linear
