@@ -16,6 +16,7 @@ from leadline.samples import Array
 
 BOARD = Board(11, 8, 0.030)
 SIZE = (1920, 1080)
+FLAT = np.zeros(2)
 
 
 def random_rig(rng: np.random.Generator, *, distorted: bool = True) -> Rig:
@@ -41,11 +42,12 @@ def random_pose(rng: np.random.Generator, z_m: float, board: Board = BOARD) -> P
     return Pose(R, place - R @ middle)
 
 
-def seen(rig: Rig, pose: Pose, medium: Medium, board: Board = BOARD) -> list[Array] | None:
+def seen(rig: Rig, pose: Pose, medium: Medium, board: Board = BOARD, warp_m: Array = FLAT) -> list[Array] | None:
     """Pixels of all corners in both cameras; None where one is outside an image."""
     out = []
+    points = board.points_m + np.outer(board.bow @ warp_m, (0, 0, 1))
     for side in SIDES:
-        q, _ = project(rig, side, medium, pose.apply(board.points_m))
+        q, _ = project(rig, side, medium, pose.apply(points))
         if not (np.isfinite(q).all() and (q > 5).all() and (q < np.array(SIZE) - 6).all()):
             return None
         out.append(q)
@@ -61,13 +63,14 @@ def board_views(
     sigma_px: float = 0.05,
     z_m: tuple[float, float] = (0.45, 2.0),
     board: Board = BOARD,
+    warp_m: Array = FLAT,
 ) -> tuple[list[BoardView], list[Pose]]:
     """Boards at distances spread over ``z_m`` with noise on their corners, and their true poses."""
     views, poses = list[BoardView](), list[Pose]()
     distances = np.geomspace(*z_m, count)
     while len(views) < count:
         pose = random_pose(rng, distances[len(views)], board)
-        pixels = seen(rig, pose, medium, board)
+        pixels = seen(rig, pose, medium, board, warp_m)
         if pixels is None:
             continue
         poses.append(pose)

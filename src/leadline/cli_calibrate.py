@@ -41,13 +41,14 @@ def cameras(
     ] = None,
     charuco: Annotated[str | None, typer.Option(help="ArUco dictionary of a ChArUco board, such as 5X5_100.")] = None,
     marker: Annotated[float | None, typer.Option(help="Side of a ChArUco marker, metres.")] = None,
+    warp: Annotated[bool, typer.Option("--warp", help="The board may be bent: estimate by how much.")] = False,
 ) -> None:
     """Cameras, their pose, the port and the water's index from boards in air and in water."""
     from leadline.calibration.cameras import CameraSettings  # noqa: PLC0415  heavy imports wait until they are needed
     from leadline.pipeline.calibrate_cameras import calibrate  # noqa: PLC0415
     from leadline.pipeline.calibrate_laser import water_state as stated_water  # noqa: PLC0415
 
-    settings = CameraSettings(port_thickness, port_index, stated_water(water_state))
+    settings = CameraSettings(port_thickness, port_index, stated_water(water_state), warp)
     report = calibrate(
         _board(board, square, charuco, marker),
         out,

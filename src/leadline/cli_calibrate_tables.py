@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 def camera_lines(report: CameraReport) -> Iterator[str]:
     """The result of `calibrate cameras`, line by line."""
     from leadline.calibration.verdict import band_mm  # noqa: PLC0415
+    from leadline.calibration.warp import warp_of  # noqa: PLC0415
     from leadline.pipeline.calibrate_cameras import remarks  # noqa: PLC0415
 
     calibration = report.calibration
@@ -45,6 +46,8 @@ def camera_lines(report: CameraReport) -> Iterator[str]:
                 f"water's index {rig.port.outside_index:.5f} +-{after:.5f}, before the images {prior.mean:.4f} "
                 f"+-{prior.sigma:.4f}: {share:.0%} of it from the images"
             )
+    if calibration.settings.warp:
+        yield f"board bent by {warp_of(calibration)}"
     band = band_mm(calibration)
     if len(band):
         yield "depth error in mm at " + "  ".join(f"{z:g} m" for z in DISTANCES_M) + "  (centre)"

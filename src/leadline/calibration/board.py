@@ -84,6 +84,15 @@ class Board:
         points.flags.writeable = False
         return points
 
+    @cached_property
+    def bow(self) -> Array:
+        """How far each corner (N, 2) moves along z where the board's middle stands out by 1: a parabola along its rows
+        and one along its columns, zero at the outermost corners."""
+        outer = self.points_m.max(axis=0)[:2]
+        bow: Array = 1.0 - (2.0 * self.points_m[:, :2] / outer - 1.0) ** 2
+        bow.flags.writeable = False
+        return bow
+
     @property
     def turns_into_itself(self) -> bool:
         """Half a turn leaves the colours as they are, so the image does not say which end is up."""

@@ -15,7 +15,7 @@ import numpy as np
 from leadline.calibration.board import Board, Corners
 from leadline.calibration.checks import check_focal_lengths, check_sides, check_views
 from leadline.calibration.outliers import LeftOut, without_outliers
-from leadline.calibration.problem import Fit, Prior, Problem
+from leadline.calibration.problem import WARP_NAMES, Fit, Prior, Problem
 from leadline.calibration.start import between, board_pose, camera_from, view_pose
 from leadline.calibration.views import (
     LAYER_NAMES,
@@ -36,6 +36,7 @@ from leadline.water import CHANNEL_NM, Water, WaterState
 
 WIDE_INDEX = Prior(1.338, 0.004)
 STATED_INDEX_SIGMA = 0.001
+WARP_PRIOR = Prior(0.0, 0.002)
 GUESSED_LAYER = {LAYER_NAMES[0]: Prior(0.002, 0.001), LAYER_NAMES[1]: Prior(1.52, 0.03)}
 _DISTORTION_SIGMA = (1.0, 1.0, 0.03, 0.03, 0.5)
 _START_DISTANCE_M = 0.02
@@ -44,11 +45,15 @@ _AIR = (Medium.AIR, Medium.AIR_BEHIND_PORT)
 
 @dataclass(frozen=True, slots=True)
 class CameraSettings:
-    """What is known beforehand. Thickness and index of the port: exact where given, else parameters with a prior."""
+    """What is known beforehand. Thickness and index of the port: exact where given, else parameters with a prior.
+
+    warp: the board may be bent, by parabolas along its rows and columns that are estimated with the rest.
+    """
 
     port_thickness_m: float | None = None
     port_index: float | None = None
     water_state: WaterState | None = None
+    warp: bool = False
 
     @property
     def index_prior(self) -> Prior:
@@ -160,18 +165,20 @@ def _with_port(rig: Rig, views: Sequence[BoardView], settings: CameraSettings) -
 
 def _names(views: Sequence[BoardView], mono: bool, settings: CameraSettings) -> tuple[str, ...]:
     names = lens_names("left") if mono else (*lens_names("left"), *lens_names("right"), *POSE_NAMES)
+    bent = WARP_NAMES if settings.warp else ()
     media = {v.medium for v in views}
     if media == {Medium.AIR}:
-        return names
+        return names + bent
     names += PORT_NAMES
     names += LAYER_NAMES[:1] if settings.port_thickness_m is None else ()
     names += LAYER_NAMES[1:] if settings.port_index is None else ()
-    return names + (("water.index",) if Medium.WATER in media else ())
+    return names + (("water.index",) if Medium.WATER in media else ()) + bent
 
 
 def _priors(rig: Rig, views: Sequence[BoardView], mono: bool, settings: CameraSettings) -> dict[str, Prior]:
     """Weak ones keep what a set of images cannot fix from running away; those of glass and water are knowledge."""
     known: dict[str, Prior] = {"water.index": settings.index_prior, **GUESSED_LAYER}
+    known |= dict.fromkeys(WARP_NAMES, WARP_PRIOR)
     known["port.distance_m"] = Prior(_START_DISTANCE_M, 0.2)
     known |= {name: Prior(0.0, 0.2) for name in PORT_NAMES[:2]}
     for side, lens in _lenses(rig).items():
@@ -186,7 +193,9 @@ def _priors(rig: Rig, views: Sequence[BoardView], mono: bool, settings: CameraSe
 
 def _finished(fit: Fit, settings: CameraSettings) -> Rig:
     """The fitted rig with its covariance and its water: the colours and the laser's group index go with the fit."""
-    rig = dataclasses.replace(fit.rig, covariance=RigCovariance(fit.names, fit.covariance))
+    count = len(fit.rig_names)
+    covariance = RigCovariance(fit.rig_names, fit.covariance[:count, :count])
+    rig = dataclasses.replace(fit.rig, covariance=covariance)
     if rig.port is None:
         return rig
     state = settings.water_state

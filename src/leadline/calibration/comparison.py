@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from leadline.calibration.board import Board
-from leadline.calibration.cameras import CameraCalibration
-from leadline.calibration.problem import Fit, Prior, Problem
+from leadline.calibration.cameras import WARP_PRIOR, CameraCalibration
+from leadline.calibration.problem import WARP_NAMES, Fit, Prior, Problem
 from leadline.calibration.start import board_pose
 from leadline.calibration.views import POSE_NAMES, BoardView, lens_names, sights_of
 from leadline.geometry import Camera, Pose
@@ -91,6 +91,8 @@ def pinhole_in_water(calibration: CameraCalibration) -> Fit | None:
     both = not calibration.mono
     names = (*lens_names("left"), *(lens_names("right") + POSE_NAMES if both else ()))
     priors = {name: Prior(0.0, 1.0) for name in names if "distortion" in name}
+    if calibration.settings.warp:
+        names, priors = names + WARP_NAMES, priors | dict.fromkeys(WARP_NAMES, WARP_PRIOR)
     return Problem(sights_of(dry, calibration.board), names, priors).solve(start, poses)
 
 

@@ -7,6 +7,7 @@ and none together.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -14,9 +15,10 @@ from itertools import pairwise
 import numpy as np
 
 from leadline.calibration.board import Board
+from leadline.calibration.cameras import WARP_PRIOR
 from leadline.calibration.lengths import BoardLength, Halves, board_lengths, halves, mean_scale
 from leadline.calibration.outliers import Found, without_outliers
-from leadline.calibration.problem import Problem, Sight
+from leadline.calibration.problem import WARP_NAMES, Problem
 from leadline.calibration.start import view_pose
 from leadline.calibration.verdict import Verdict, covered
 from leadline.calibration.views import BoardView, numbered_alike
@@ -27,6 +29,7 @@ from leadline.rig_derivatives import Medium
 from leadline.rig_parameters import get
 
 _FOCAL = ("left.fx_px", "left.fy_px", "right.fx_px", "right.fy_px")
+_MAY_BEND = dict.fromkeys(WARP_NAMES, WARP_PRIOR)  # the board's fault is not the rig's
 _NOISE_PX = 0.15  # of corners, where the rig file does not say
 _BINS_M = (0.0, 0.6, 1.2, np.inf)
 _FEW = 6
@@ -58,7 +61,7 @@ def check_rig(rig: Rig, views: Sequence[BoardView], board: Board, size: tuple[in
     if not usable:
         raise InputError("no pair shows the board in both images", "--dive", "check --board; a check needs pairs")
     poses = [view_pose(rig, view, board) or Pose(np.eye(3), [0.0, 0.0, 1.0]) for view in usable]
-    found = without_outliers(usable, board, lambda sights: Problem(sights, ()), rig, poses)
+    found = without_outliers(usable, board, lambda sights: Problem(sights, WARP_NAMES, _MAY_BEND), rig, poses)
     lengths = board_lengths(rig, found.views, board, found.fit.sigma_px)
     if not lengths:
         raise InputError("the rig sees no board whole", "--dive", "check that rig and images belong together")
@@ -98,14 +101,13 @@ def _focal_halves(rig: Rig, found: Found) -> Halves | None:
 
 def _focal(rig: Rig, found: Found, half: Sequence[int]) -> tuple[float, float]:
     place = {int(view): i for i, view in enumerate(half)}
-    sights = [
-        Sight(place[s.view], s.side, s.medium, s.points_m, s.pixels) for s in found.problem.sights if s.view in place
-    ]
-    fit = Problem(sights, _FOCAL).solve(rig, [found.fit.poses[i] for i in half])
+    sights = [dataclasses.replace(s, view=place[s.view]) for s in found.problem.sights if s.view in place]
+    fit = Problem(sights, (*_FOCAL, *WARP_NAMES), _MAY_BEND).solve(rig, [found.fit.poses[i] for i in half])
     before = get(rig, _FOCAL)
     weights = 0.25 / before
     factor = float(weights @ (get(fit.rig, _FOCAL) - before))
-    return factor, float(np.sqrt(weights @ fit.covariance @ weights))
+    count = len(_FOCAL)
+    return factor, float(np.sqrt(weights @ fit.covariance[:count, :count] @ weights))
 
 
 def _judge(

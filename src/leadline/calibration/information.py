@@ -12,7 +12,7 @@ from leadline.calibration.cameras import CameraCalibration
 from leadline.calibration.problem import Problem, Sight
 from leadline.calibration.views import SIDES
 from leadline.geometry import Pose
-from leadline.rig import Rig
+from leadline.rig import Rig, Side
 from leadline.rig_derivatives import Medium, point_sensitivity, project
 from leadline.rig_parameters import turn
 from leadline.samples import Array
@@ -91,7 +91,7 @@ def with_air(calibration: CameraCalibration, points_m: Array) -> tuple[float, fl
     """Depth's standard deviation, mm, mean over points (N, 3), of boards in water alone, and with them in air too."""
     fit, rig, board = calibration.fit, calibration.rig, calibration.board
     sights = [
-        Sight(view, side, Medium.AIR, board.points_m, project(rig, side, Medium.AIR, pose.apply(board.points_m))[0])
+        _sight(board, view, side, Medium.AIR, project(rig, side, Medium.AIR, pose.apply(board.points_m))[0])
         for view, pose in enumerate(fit.poses)
         for side in SIDES[: 1 if calibration.mono else 2]
     ]
@@ -118,10 +118,14 @@ def _information(calibration: CameraCalibration, medium: Medium, place_m: Array)
 
 
 def _imagined(rig: Rig, board: Board, pose: Pose, view: int, medium: Medium, left: bool) -> Sight | None:
-    points = board.points_m
-    q, _ = project(rig, "left" if left else "right", medium, pose.apply(points))
+    side: Side = "left" if left else "right"
+    q, _ = project(rig, side, medium, pose.apply(board.points_m))
     inside = np.isfinite(q).all() and (q > 0).all() and (q < (rig.left.width - 1, rig.left.height - 1)).all()
-    return Sight(view, "left" if left else "right", medium, points, q) if inside else None
+    return _sight(board, view, side, medium, q) if inside else None
+
+
+def _sight(board: Board, view: int, side: Side, medium: Medium, pixels: Array) -> Sight:
+    return Sight(view, side, medium, board.points_m, pixels, board.bow)
 
 
 def _mean_sigma(depth: Array, cov: Array) -> float:

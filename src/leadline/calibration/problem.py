@@ -28,16 +28,21 @@ _MAX_DAMPING = 1e10
 _LOWEST = {"port.distance_m": 1e-4, "port.layers[0].thickness_m": 1e-5, "port.layers[0].index": 1.0, "water.index": 1.0}
 """A step that would leave what a port can be stops at its border, so that the other parameters still move."""
 
+WARP_NAMES = ("board.warp_m[0]", "board.warp_m[1]")
+"""How far the board's middle stands out of its plane, towards the paper's back, m: bent along its rows, its columns."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
-    """A board's corners in one camera: ``points_m`` (n, 3) in the board's frame, ``pixels`` (n, 2)."""
+    """A board's corners in one camera: ``points_m`` (n, 3) in the board's frame, ``pixels`` (n, 2), and ``bow`` (n, 2),
+    how a bent board moves them (see ``Board.bow``)."""
 
     view: int
     side: Side
     medium: Medium
     points_m: Array
     pixels: Array
+    bow: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +57,7 @@ class Prior:
 class Fit:
     """A rig, the boards' poses T_left_board, and how well they explain the corners.
 
+    names: the parameters estimated, of the rig and, last, WARP_NAMES where the board may be bent: by warp_m (2,).
     residuals: measured minus predicted pixels (n, 2) for each sight, in order. sigma_px: one coordinate's noise,
     estimated. covariance: of ``names``, priors included. cost: half the sum of squares in standard deviations.
     """
@@ -63,6 +69,15 @@ class Fit:
     sigma_px: float
     cost: float
     covariance: Array
+    warp_m: Array
+
+    @property
+    def rig_names(self) -> tuple[str, ...]:
+        return tuple(name for name in self.names if name not in WARP_NAMES)
+
+    def value(self, name: str) -> float:
+        """A parameter's value."""
+        return float(self.warp_m[WARP_NAMES.index(name)] if name in WARP_NAMES else get(self.rig, [name])[0])
 
     @property
     def rms_px(self) -> float:
@@ -89,31 +104,42 @@ class _Group:
     views: NDArray[np.int64]
     points_m: Array
     pixels: Array
+    bow: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _State:
-    """A rig, R (V, 3, 3) and t (V, 3) of T_left_board, and the residuals (n, 2) of each group."""
+    """A rig, R (V, 3, 3) and t (V, 3) of T_left_board, the board's warp (2,); the residuals (n, 2) of each group."""
 
     rig: Rig
     R: Array
     t: Array
-    residuals: tuple[Array, ...]
-    cost: float
+    warp_m: Array
+    residuals: tuple[Array, ...] = ()
+    cost: float = np.inf
+
+    def on_board(self, group: _Group) -> Array:
+        """The group's points (n, 3) turned to the left camera's axes, from their boards' origins."""
+        return np.asarray(np.einsum("nij,nj->ni", self.R[group.views], group.points_m) + self.bent(group) @ self.warp_m)
+
+    def bent(self, group: _Group) -> Array:
+        """d(the group's points)/d(warp) (n, 3, 2)."""
+        return self.R[group.views][:, :, 2, None] * group.bow[:, None, :]
 
 
 class Problem:
-    """Corners to be explained by ``names`` (parameters of the rig) and one pose a view."""
+    """Corners to be explained by ``names`` (parameters of the rig, then perhaps WARP_NAMES) and one pose a view."""
 
     def __init__(self, sights: Sequence[Sight], names: tuple[str, ...], priors: dict[str, Prior] | None = None) -> None:
         self.sights, self.names, self.priors = tuple(sights), names, priors or {}
+        self._warped = names[-2:] == WARP_NAMES
+        self._rig_names = names[:-2] if self._warped else names
         self._groups = _grouped(self.sights)
         self._lowest = np.array([_LOWEST.get(name, -np.inf) for name in names])
 
     def solve(self, rig: Rig, poses: Sequence[Pose], *, sigma_px: float | None = None, robust: bool = True) -> Fit:
         """The most likely rig and poses from a start. With ``sigma_px`` the corners' noise is taken as known."""
-        R, t = np.array([pose.R for pose in poses]), np.array([pose.t_m for pose in poses])
-        state = _State(rig, R, t, self._residuals(rig, R, t), np.inf)
+        state = self._start(rig, poses)
         sigma = sigma_px or _spread(state.residuals)
         for _ in range(_ROUNDS):
             before = sigma
@@ -124,16 +150,38 @@ class Problem:
                 break
         covariance = self._system(state, sigma, robust).covariance()
         final = tuple(Pose(R, t) for R, t in zip(state.R, state.t, strict=True))
-        return Fit(state.rig, final, self.names, self._by_sight(state.residuals), sigma, state.cost, covariance)
+        residuals = self._by_sight(state.residuals)
+        return Fit(state.rig, final, self.names, residuals, sigma, state.cost, covariance, state.warp_m)
 
     def information(self, rig: Rig, poses: Sequence[Pose], sigma_px: float) -> Array:
         """What these sights would tell of the parameters (G, G), their poses unknown: the inverse of a covariance."""
+        return self._system(self._start(rig, poses), sigma_px, False).information()
+
+    def first_step(self, rig: Rig, poses: Sequence[Pose], sigma_px: float) -> tuple[Array, Array]:
+        """Where ``names`` would go (G,) in one undamped step, and their covariance (G, G): a test of a wider model."""
+        system = self._system(self._start(rig, poses), sigma_px, True)
+        return system.step(0.0)[0], system.covariance()
+
+    def _start(self, rig: Rig, poses: Sequence[Pose]) -> _State:
         R, t = np.array([pose.R for pose in poses]), np.array([pose.t_m for pose in poses])
-        return self._system(_State(rig, R, t, self._residuals(rig, R, t), 0.0), sigma_px, False).information()
+        return self._seen(_State(rig, R, t, np.zeros(2)))
+
+    def _seen(self, state: _State) -> _State:
+        """With its residuals: measured minus predicted."""
+        residuals = tuple(
+            g.pixels - project(state.rig, g.side, g.medium, state.on_board(g) + state.t[g.views])[0]
+            for g in self._groups
+        )
+        return dataclasses.replace(state, residuals=residuals)
+
+    def _values(self, state: _State) -> Array:
+        """Of ``names`` (G,)."""
+        values = get(state.rig, self._rig_names)
+        return np.concatenate([values, state.warp_m]) if self._warped else values
 
     def _minimise(self, state: _State, sigma: float, robust: bool) -> _State:
         damping = 1e-4
-        state = dataclasses.replace(state, cost=self._cost(state.rig, state.residuals, sigma, robust))
+        state = dataclasses.replace(state, cost=self._cost(state, sigma, robust))
         for _ in range(_STEPS):
             system = self._system(state, sigma, robust)
             while damping < _MAX_DAMPING:
@@ -150,21 +198,16 @@ class Problem:
 
     def _stepped(self, state: _State, globals_: Array, locals_: Array, sigma: float, robust: bool) -> _State | None:
         """The state after a step; None where there is no such rig (a port behind a pupil)."""
+        values = np.maximum(self._values(state) + globals_, self._lowest)
+        count = len(self._rig_names)
         try:
-            values = np.maximum(get(state.rig, self.names) + globals_, self._lowest)
-            rig = replaced(state.rig, self.names, values)
+            rig = replaced(state.rig, self._rig_names, values[:count])
         except ValueError:
             return None
         R = np.array([turn(step[:3]) @ old for step, old in zip(locals_, state.R, strict=True)])
-        t = state.t + locals_[:, 3:]
-        residuals = self._residuals(rig, R, t)
-        return _State(rig, R, t, residuals, self._cost(rig, residuals, sigma, robust))
-
-    def _residuals(self, rig: Rig, R: Array, t: Array) -> tuple[Array, ...]:
-        return tuple(
-            g.pixels - project(rig, g.side, g.medium, np.einsum("nij,nj->ni", R[g.views], g.points_m) + t[g.views])[0]
-            for g in self._groups
-        )
+        warp_m = values[count:] if self._warped else state.warp_m
+        trial = self._seen(_State(rig, R, state.t + locals_[:, 3:], warp_m))
+        return dataclasses.replace(trial, cost=self._cost(trial, sigma, robust))
 
     def _by_sight(self, residuals: Sequence[Array]) -> tuple[Array, ...]:
         out: list[Array] = [np.zeros((0, 2))] * len(self.sights)
@@ -173,22 +216,22 @@ class Problem:
                 out[place] = part
         return tuple(out)
 
-    def _cost(self, rig: Rig, residuals: Sequence[Array], sigma_px: float, robust: bool) -> float:
-        e = np.linalg.norm(np.concatenate(residuals), axis=1) / sigma_px
+    def _cost(self, state: _State, sigma_px: float, robust: bool) -> float:
+        e = np.linalg.norm(np.concatenate(state.residuals), axis=1) / sigma_px
         loss = np.where(e <= HUBER, 0.5 * e**2, HUBER * (e - 0.5 * HUBER)) if robust else 0.5 * e**2
-        _, miss = self._prior_rows(rig)
+        _, miss = self._prior_rows(state)
         total = float(loss.sum() + 0.5 * miss @ miss)
         return total if np.isfinite(total) else np.inf
 
-    def _prior_rows(self, rig: Rig) -> tuple[Array, Array]:
+    def _prior_rows(self, state: _State) -> tuple[Array, Array]:
         """Information (G,) of the priors and their misses (G,) in standard deviations; 0 without one."""
-        values = get(rig, self.names)
+        values = self._values(state)
         weight = np.array([1.0 / self.priors[name].sigma if name in self.priors else 0.0 for name in self.names])
         mean = np.array([self.priors[name].mean if name in self.priors else 0.0 for name in self.names])
         return weight**2, weight * (values - mean)
 
     def _system(self, state: _State, sigma: float, robust: bool) -> _System:
-        information, miss = self._prior_rows(state.rig)
+        information, miss = self._prior_rows(state)
         system = _System(len(self.names), len(state.R))
         system.A += np.diag(information)
         system.a -= np.sqrt(information) * miss
@@ -199,10 +242,12 @@ class Problem:
     def _add_group(
         self, system: _System, state: _State, group: _Group, residuals: Array, sigma: float, robust: bool
     ) -> None:
-        turned_m = np.einsum("nij,nj->ni", state.R[group.views], group.points_m)
+        turned_m = state.on_board(group)
         points = turned_m + state.t[group.views]
         pixels, by_point = project(state.rig, group.side, group.medium, points)
-        by_globals = by_parameters(state.rig, group.side, group.medium, points, pixels, by_point, self.names)
+        by_globals = by_parameters(state.rig, group.side, group.medium, points, pixels, by_point, self._rig_names)
+        if self._warped:
+            by_globals = np.concatenate([by_globals, by_point @ state.bent(group)], axis=2)
         by_turn = np.cross(turned_m[:, None, :], by_point)  # J (w x p) = w . (p x J)
         e = np.linalg.norm(residuals, axis=1) / sigma
         root = np.sqrt(np.minimum(1.0, HUBER / np.maximum(e, 1e-12)) if robust else np.ones_like(e)) / sigma
@@ -248,7 +293,8 @@ def _grouped(sights: Sequence[Sight]) -> list[_Group]:
         views = np.repeat([sights[i].view for i in places], counts)
         points = np.concatenate([sights[i].points_m for i in places])
         pixels = np.concatenate([sights[i].pixels for i in places])
-        out.append(_Group(side, medium, tuple(places), np.cumsum(counts), views, points, pixels))
+        bow = np.concatenate([sights[i].bow for i in places])
+        out.append(_Group(side, medium, tuple(places), np.cumsum(counts), views, points, pixels, bow))
     return out
 
 

@@ -12,6 +12,7 @@ from leadline.calibration.comparison import calibration_sigma_mm, field_points
 from leadline.calibration.information import Suggestion, limits, spread, suggestion, with_air
 from leadline.calibration.lengths import Halves, board_lengths, halves
 from leadline.calibration.views import LAYER_NAMES, SIDES, BoardView
+from leadline.calibration.warp import warp_of
 from leadline.rig_derivatives import Medium
 from leadline.rig_parameters import get
 from leadline.samples import Array
@@ -109,6 +110,9 @@ def _wrong_model(calibration: CameraCalibration, halves: Halves | None) -> list[
             f"near and far boards disagree by {abs(halves.far - halves.near):.2%} ({halves.sigmas:.0f} sigma): "
             "the port is not flat, or not as described"
         )
+    bent = warp_of(calibration)
+    if bent.sure and not calibration.settings.warp:
+        out.append(f"the board is bent ({bent}): add --warp, or glue it on something flat")
     out += [f"{what}: {then}" for what, then in _far_from_prior(calibration)]
     return out
 

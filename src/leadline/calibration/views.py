@@ -43,7 +43,7 @@ def numbered_alike(views: Sequence[BoardView], board: Board) -> list[BoardView]:
 def sights_of(views: Sequence[BoardView], board: Board) -> list[Sight]:
     """Every corner set as the bundle adjustment takes it; ``Sight.view`` is the place in ``views``."""
     return [
-        Sight(i, side, view.medium, board.points_m[corners.ids], corners.pixels)
+        Sight(i, side, view.medium, board.points_m[corners.ids], corners.pixels, board.bow[corners.ids])
         for i, view in enumerate(views)
         for side in SIDES
         if (corners := view.corners(side)) is not None

@@ -18,7 +18,6 @@ from leadline.evaluation.svg import INK, Curve, arrows, bars, log_chart, picture
 from leadline.files import write_whole
 from leadline.rig import Side
 from leadline.rig_derivatives import Medium
-from leadline.rig_parameters import get
 
 _TEMPLATE = Path(__file__).with_suffix(".html")
 _CURVE_M = tuple(np.linspace(0.2, 2.2, 21))
@@ -30,6 +29,8 @@ _NAMES = {
     "port.layers[0].thickness_m": ("glass, thickness", 1e3, "mm"),
     "port.layers[0].index": ("glass, index", 1.0, ""),
     "water.index": ("water's index", 1.0, ""),
+    "board.warp_m[0]": ("board, bent along its rows", 1e3, "mm"),
+    "board.warp_m[1]": ("board, bent along its columns", 1e3, "mm"),
     "T_right_left.t_m[0]": ("right camera, x", 1e3, "mm"),
     "T_right_left.t_m[1]": ("right camera, y", 1e3, "mm"),
     "T_right_left.t_m[2]": ("right camera, z", 1e3, "mm"),
@@ -204,11 +205,11 @@ def _parameters(calibration: CameraCalibration) -> str:
     rows = []
     for name in calibration.fit.names:
         label, factor, unit = _NAMES.get(name, (name, 1.0, ""))
-        value, sigma = float(get(calibration.rig, [name])[0]) * factor, calibration.fit.sigma(name) * factor
+        value, sigma = calibration.fit.value(name) * factor, calibration.fit.sigma(name) * factor
         if "rotation_rad" in name:  # the file's parameter is a small turn, 0 by definition
             value = float(np.degrees(cv2.Rodrigues(calibration.rig.T_right_left.R)[0].ravel()[int(name[-2])]))
         prior = calibration.priors.get(name)
-        known = prior is not None and (name == "water.index" or "layers" in name)
+        known = prior is not None and (name == "water.index" or "layers" in name or "warp" in name)
         before = f"{prior.mean * factor:.5g} +-{prior.sigma * factor:.2g}" if prior is not None and known else ""
         rows.append([label, f"{value:.6g}", f"{sigma:.2g}", unit, before])
     return _section("What was found", _table(["", "value", "sigma", "", "before the images"], rows))

@@ -162,7 +162,12 @@ def _provenance(calibration: CameraCalibration, sets: Sequence[Boards], judged: 
     return {
         "source": "leadline calibrate cameras",
         "date": now(),
-        "board": {"columns": board.columns, "rows": board.rows, "square_m": board.square_m},
+        "board": {
+            "columns": board.columns,
+            "rows": board.rows,
+            "square_m": board.square_m,
+            "warp_m": [round(float(w), 7) for w in fit.warp_m],
+        },
         "inputs": inputs_of(sets),
         "views": len(calibration.views),
         "corners": int(sum(len(r) for r in fit.residuals)),
