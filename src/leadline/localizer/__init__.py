@@ -1,0 +1,5 @@
+"""Samples to solutions: ``Localizer`` is the door that all data of a dive goes through."""
+
+from leadline.localizer.localizer import Localizer
+
+__all__ = ["Localizer"]

@@ -1,0 +1,202 @@
+"""The door: a sample goes in, a solution comes out. Live, simulated and replayed dives differ only before and after it.
+
+    frame  -> box -> stereo on the target -> outline -> spot -+
+    laser reading -------------------------------------------+-> one filter -> solution
+    the vehicle's motion -------------------------------------+
+
+The paper's three stages are which of these there are at the moment. No clock, no file, no network, no random number:
+the time is in the sample, and the same samples give the same solutions bit for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from leadline.config import Config
+from leadline.estimation import Estimate, Filter, FilterSettings
+from leadline.localizer.laser import LaserSight
+from leadline.localizer.motion import as_of_target, skew_of, taken_ns
+from leadline.localizer.sight import VISION, Sight
+from leadline.ranging.coarse import Box
+from leadline.recognition.finder import Finder
+from leadline.recognition.track import choose, iou
+from leadline.recognition.view import WholeView
+from leadline.rig import Rig
+from leadline.samples import (
+    NS_PER_S,
+    Array,
+    Detection,
+    Kind,
+    LaserRange,
+    Measurement,
+    Rejected,
+    Sample,
+    Solution,
+    Stage,
+    Status,
+    StereoFrame,
+    VehicleMotion,
+)
+from leadline.target import Surface, Target
+
+BEAM = frozenset({Kind.LASER, Kind.SPOT})
+
+
+class Localizer:
+    """Ranges and tracks one target.
+
+    rig: the calibrated rig. target: its shape. detector: who finds it in the left image (default: the whole view).
+    filtered: False takes every frame alone, with the laser readings near it, and remembers nothing else.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        target: Target | None = None,
+        detector: Finder | None = None,
+        config: Config | None = None,
+        *,
+        filtered: bool = True,
+    ) -> None:
+        self._rig, self._target = rig, target or Surface()
+        self._finder = detector or WholeView()
+        self._config = config or Config()
+        self._filtered = filtered
+        self._filter = Filter(FilterSettings(**self._config.filter.model_dump()))
+        self._laser = None if rig.laser is None else LaserSight(rig, self._target, self._config)
+        self._sight = Sight(rig, self._target, self._config, self._laser)
+        self._motion: VehicleMotion | None = None
+        self._last_used: dict[Kind, int] = {}
+        self._last_box: Box | None = None
+        self.detections: list[Detection] = []  # of the last frame, for those who draw
+
+    def step(self, sample: Sample) -> Solution | None:
+        """Take a sample; a solution at its time, or None: for a reading while there is no target, for a motion."""
+        if isinstance(sample, LaserRange):
+            return self._take_reading(sample)
+        if isinstance(sample, VehicleMotion):
+            self._take_motion(sample)
+            return None
+        return self._take_frame(sample)
+
+    def _take_frame(self, frame: StereoFrame) -> Solution:
+        if not self._filtered:
+            self._forget()
+        self._expire(frame.t_ns)
+        before = self._estimate(taken_ns(frame))
+        self.detections = self._finder.find(frame)
+        box = self._where(before)
+        if box is None:
+            return self._solution(frame.t_ns, [], [])
+        skew = skew_of(frame, self._target, before, self._motion, self._config.filter.initial_speed_m_s)
+        found = self._sight.measure(frame, box, before, skew)
+        if self._laser is not None and not self._filtered:
+            found += self._laser.near(taken_ns(frame))
+        measurements = [one for one in found if isinstance(one, Measurement)]
+        rejected = [one for one in found if isinstance(one, Rejected)]
+        if not self._filter.alive and not self._start(taken_ns(frame), measurements):
+            return self._solution(frame.t_ns, [], rejected)
+        used, turned_away = self._filter.add(taken_ns(frame), measurements)
+        self._last_box = box
+        return self._solution(frame.t_ns, used, rejected + turned_away)
+
+    def _take_reading(self, sample: LaserRange) -> Solution | None:
+        if self._laser is None:
+            return None
+        self._laser.keep(sample)
+        if not self._filtered:
+            return None
+        self._expire(sample.t_ns)
+        before = self._estimate(sample.t_ns)
+        if before is None:
+            return None
+        used, rejected = self._filter.add(sample.t_ns, [self._laser.take(sample, before)])
+        return self._solution(sample.t_ns, used, rejected)
+
+    def _take_motion(self, sample: VehicleMotion) -> None:
+        self._motion = sample
+        if self._filtered:
+            before = self._estimate(sample.t_ns)
+            self._filter.add_motion(sample if before is None else as_of_target(sample, self._target, before.x))
+
+    def _estimate(self, t_ns: int) -> Estimate | None:
+        return self._filter.at(t_ns) if self._filter.alive else None
+
+    def _forget(self) -> None:
+        self._filter.stop()
+        self._last_used.clear()
+        self._last_box = None
+
+    def _expire(self, t_ns: int) -> None:
+        """Give a target up that nothing was measured of for too long."""
+        last = max(self._last_used.values(), default=t_ns)
+        if self._filter.alive and t_ns - last > self._config.status.lost_after_s * NS_PER_S:
+            self._forget()
+
+    def _where(self, before: Estimate | None) -> Box | None:
+        """The target's box: a detection that goes on from the last one, else where it must still be."""
+        expected = self._last_box if before is not None else None
+        found = choose(self.detections, expected)
+        if expected is not None and (found is None or iou(found.box_px, expected) == 0.0):
+            return expected
+        return None if found is None else found.box_px
+
+    def _start(self, t_ns: int, measurements: Sequence[Measurement]) -> bool:
+        """Begin a track: wide, where the first measurement that fixes a position has it."""
+        first = next((m for m in measurements if m.kind in VISION), None)
+        if first is None:
+            return False
+        x = np.concatenate([first.z[:3], first.z[3:] if len(first.z) > 3 else self._target.shape_mean])
+        wide = np.diag(np.concatenate([np.full(3, (0.3 * np.linalg.norm(x[:3])) ** 2), self._target.shape_sigma**2]))
+        self._filter.start(t_ns, x, wide, self._target.shape_walk)
+        return True
+
+    def _solution(self, t_ns: int, used: Sequence[Kind], rejected: Sequence[Rejected]) -> Solution:
+        for kind in used:
+            self._last_used[kind] = max(t_ns, self._last_used.get(kind, t_ns))
+        turned_away = tuple(rejected)
+        if not self._filter.alive or not self._last_used:
+            self._filter.stop()
+            return Solution(t_ns, Stage.SEARCHING, Status.LOST, used=tuple(used), rejected=turned_away)
+        estimate = self._filter.at(t_ns)
+        distance, gradient = self._target.range(estimate.x)
+        cov = estimate.cov + self._systematic(estimate)
+        quiet_s = (t_ns - max(self._last_used.values())) / NS_PER_S
+        return Solution(
+            t_ns=t_ns,
+            stage=self._stage(t_ns),
+            status=Status.VALID if quiet_s <= self._config.status.coast_after_s else Status.COASTING,
+            position_m=estimate.x[:3],
+            cov_m2=cov[:3, :3],
+            range_m=distance,
+            range_sigma_m=float(np.sqrt(gradient @ cov @ gradient)),
+            velocity_m_s=estimate.velocity_m_s,
+            used=tuple(used),
+            rejected=turned_away,
+        )
+
+    def _recent(self, kinds: frozenset[Kind], t_ns: int) -> bool:
+        limit = self._config.status.recent_s * NS_PER_S
+        return any(t_ns - self._last_used[kind] <= limit for kind in kinds if kind in self._last_used)
+
+    def _stage(self, t_ns: int) -> Stage:
+        if self._recent(BEAM, t_ns):
+            return Stage.BOTH if self._recent(VISION, t_ns) else Stage.LASER
+        return Stage.BINOCULAR
+
+    def _systematic(self, estimate: Estimate) -> Array:
+        """Errors common to all frames, the calibration's above all: they bound how certain averaging may become."""
+        status, distance = self._config.status, float(np.linalg.norm(estimate.x[:3]))
+        sight = estimate.x[:3] / distance
+        focal_px = self._rig.focal_outside_px
+        bias_m = distance**2 * status.bias_px / (focal_px * self._rig.baseline_m)
+        calibration = self._sight.calibration.at(estimate.x[:3])
+        along = bias_m**2 + float(sight @ calibration @ sight)
+        if self._laser is not None and self._recent(BEAM, estimate.t_ns):  # two independent ways to the same distance
+            along = 1 / (1 / along + 1 / (status.laser_bias_m**2 + self._laser.calibration_variance_m2))
+        across = np.eye(3) - np.outer(sight, sight)
+        common = np.zeros((len(estimate.x), len(estimate.x)))
+        common[:3, :3] = across @ calibration @ across + along * np.outer(sight, sight)
+        return common

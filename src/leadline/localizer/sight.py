@@ -1,0 +1,99 @@
+"""What one frame says of the target: outline, stereo and spot, each from the best idea of it so far."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from leadline.config import Config
+from leadline.estimation import Estimate
+from leadline.localizer.laser import LaserSight
+from leadline.localizer.motion import Skew, taken_ns
+from leadline.ranging.calibration_error import CalibrationError
+from leadline.ranging.coarse import Box
+from leadline.ranging.outline import OutlineRanger
+from leadline.ranging.stereo import Pair, Prior, StereoRanger
+from leadline.rig import Rig
+from leadline.samples import Array, Kind, Measurement, Rejected, StereoFrame
+from leadline.target import Sphere, Target
+
+POOR = 0.1  # a range less certain than this part of itself is no prediction
+VISION = frozenset({Kind.STEREO, Kind.SIZE})
+Found = list[Measurement | Rejected]
+
+
+class Sight:
+    """``laser``: whose spot is looked for, where the rig has one."""
+
+    def __init__(self, rig: Rig, target: Target, config: Config, laser: LaserSight | None) -> None:
+        self._rig, self._target, self._laser = rig, target, laser
+        self._stereo = StereoRanger(rig, target, config.stereo)
+        self._outline = OutlineRanger(target, config.outline) if isinstance(target, Sphere) else None
+        self.calibration = CalibrationError(rig)
+
+    def measure(self, frame: StereoFrame, box: Box, before: Estimate | None, skew: Skew) -> Found:
+        """All that one frame says, at its left exposure."""
+        pair = Pair.of(frame.left, frame.right, skew.rig(self._rig))
+        guess = self._prior(before)
+        found = self._see(taken_ns(frame), pair, box, guess)
+        places = [one for one in found if isinstance(one, Measurement)]
+        x = places[0].z if places else guess.x if guess is not None else self._idea(box)
+        found = [self._honest(one, skew) if isinstance(one, Measurement) else one for one in found]
+        return found if self._laser is None else found + self._laser.spot(frame, taken_ns(frame), x, skew)
+
+    def _prior(self, before: Estimate | None) -> Prior | None:
+        if before is None:
+            return None
+        guess = Prior(before.x, self._range_sigma(before.x, before.cov))
+        return None if guess.range_sigma_m > POOR * np.linalg.norm(guess.x[:3]) else guess
+
+    def _honest(self, measurement: Measurement, skew: Skew) -> Measurement:
+        """What vision measures is no better than its calibration: it must not turn the laser away for that."""
+        cov = measurement.cov.copy()
+        cov[:3, :3] += self.calibration.at(measurement.z[:3])
+        return skew.widened(replace(measurement, cov=cov), self._rig, not isinstance(self._target, Sphere))
+
+    def _see(self, t_ns: int, pair: Pair, box: Box, guess: Prior | None) -> Found:
+        """Outline, then stereo where that says; each helps the other where it fails. The first to hold leads."""
+        size = self._trace(t_ns, pair, box, guess)
+        if isinstance(size, Measurement) and guess is None:
+            guess = Prior(size.z, self._range_sigma(size.z, size.cov))
+        stereo = self._stereo.measure(t_ns, pair, box, guess)
+        if isinstance(stereo, Rejected) and not isinstance(size, Measurement) and guess is not None:
+            stereo = self._stereo.measure(t_ns, pair, box, None)
+        if self._outline is not None and isinstance(stereo, Measurement) and not isinstance(size, Measurement):
+            size = self._outline.measure(t_ns, pair, stereo.z)
+        return [stereo] if size is None else [size, stereo]
+
+    def _trace(self, t_ns: int, pair: Pair, box: Box, guess: Prior | None) -> Measurement | Rejected | None:
+        """The ball's outline from the prediction, else from its box; None for what has none or before it has a size."""
+        if self._outline is None:
+            return None
+        if guess is not None:
+            size = self._outline.measure(t_ns, pair, guess.x)
+            if isinstance(size, Measurement):
+                return size
+        if len(self._target.shape_mean):
+            return None
+        return self._outline.measure(t_ns, pair, self._idea(box))
+
+    def _idea(self, box: Box) -> Array:
+        """Where the target may be by its box alone: along its middle."""
+        x, y, width, height = box
+        middle = np.array([[x + width / 2, y + height / 2]])
+        origins, directions = self._rig.rays(middle, "left")
+        return np.concatenate([origins[0] + self._box_range(box) * directions[0], self._target.shape_mean])
+
+    def _box_range(self, box: Box) -> float:
+        """From a known ball's size in the image, else the last laser reading, else arm's length and some."""
+        x, y, width, height = box
+        if isinstance(self._target, Sphere) and self._target.diameter_m is not None:
+            sides = self._rig.rays(np.array([[x, y + height / 2], [x + width, y + height / 2]]), "left")[1]
+            angle = float(np.arccos(np.clip(sides[0] @ sides[1], -1, 1))) / 2
+            return float(self._target.diameter_m / 2 / max(np.sin(angle), 0.05))
+        return (self._laser.last_length_m() if self._laser is not None else None) or 1.0
+
+    def _range_sigma(self, x: Array, cov: Array) -> float:
+        _, gradient = self._target.range(x)
+        return float(np.sqrt(gradient @ cov @ gradient))
