@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from leadline.evaluation.accuracy import Row, by_distance, by_stage, compare
+from leadline.evaluation.accuracy import Availability, Row, availability, by_distance, by_stage, compare
 from leadline.samples import NS_PER_S, Solution, Stage, Status, Truth
 from leadline.target import Cylinder, Plane, Sphere, Surface
 
@@ -13,9 +13,8 @@ from leadline.target import Cylinder, Plane, Sphere, Surface
 def solution(t_s: float, point_m: tuple[float, float, float], sigma_m: float = 0.01, **changes: object) -> Solution:
     point = np.array(point_m)
     values = {"range_m": float(np.linalg.norm(point)), "status": Status.VALID, "stage": Stage.BINOCULAR} | changes
-    return Solution(
-        round(t_s * NS_PER_S), position_m=point, cov_m2=np.eye(3) * sigma_m**2, range_sigma_m=sigma_m, **values
-    )
+    values = {"cov_m2": np.eye(3) * sigma_m**2} | values
+    return Solution(round(t_s * NS_PER_S), position_m=point, range_sigma_m=sigma_m, **values)
 
 
 def station(t_s: float, centre_m: tuple[float, float, float], radius_m: float = 0.0) -> Truth:
@@ -75,26 +74,27 @@ def test_own_point_falls_back_to_the_nearest_surface() -> None:
 
 
 def test_stage_rows() -> None:
-    errors_m = [0.01, -0.03, 0.02, 0.2]
+    errors_m = [0.01, -0.029, 0.02, 0.2]
     stages = [Stage.BINOCULAR, Stage.BINOCULAR, Stage.BOTH, Stage.LASER]
     solutions = [solution(i, (0, 0, 2 + e), stage=s) for i, (e, s) in enumerate(zip(errors_m, stages, strict=True))]
     rows = {row.name: row for row in by_stage(compare(solutions, [station(i, (0, 0, 2)) for i in range(4)]))}
     assert list(rows) == ["1 binocular", "2 both", "3 laser", "all"]
     first = rows["1 binocular"]
     assert (first.count, first.silent) == (2, 0)
-    assert (first.mean_m, first.max_m, first.coverage) == pytest.approx((0.02, 0.03, 0.5))
-    assert first.rms_m == pytest.approx(np.sqrt(0.0005))
+    assert (first.mean_m, first.max_m, first.bias_m) == pytest.approx((0.0195, 0.029, -0.0095))
+    assert first.coverage == pytest.approx((0.5, 0.5, 1.0))
+    assert first.rms_m == pytest.approx(np.sqrt(0.0004705))
     assert rows["3 laser"].silent == 1
     assert rows["all"].count == 4
 
 
 @pytest.mark.parametrize(("sigma_m", "silent"), [(0.005, 1), (0.009, 0)])
-def test_a_silent_error_is_beyond_five_sigmas_and_30_mm(sigma_m: float, silent: int) -> None:
+def test_a_silent_error_is_beyond_five_sigmas_and_20_mm(sigma_m: float, silent: int) -> None:
     def row(error_m: float) -> Row:
         return by_stage(compare([solution(0, (0, 0, 2 + error_m), sigma_m)], [station(0, (0, 0, 2))]))[-1]
 
     assert row(0.04).silent == silent
-    assert row(0.029).silent == 0
+    assert row(0.0191).silent == 0
 
 
 def test_distance_rows() -> None:
@@ -103,3 +103,29 @@ def test_distance_rows() -> None:
     rows = by_distance(compare(solutions, [station(i, (0, 0, r)) for i, r in enumerate(ranges)]))
     assert [(row.name, row.count) for row in rows] == [("0-0.5 m", 2), ("1-1.5 m", 1), ("3-5 m", 1)]
     assert all(row.mean_m == pytest.approx(0.01) for row in rows)
+
+
+def test_nees_is_one_a_dimension_where_the_covariance_is_true() -> None:
+    rng = np.random.default_rng(5)
+    solutions = [solution(i, tuple(np.array([0, 0, 2.0]) + rng.normal(0, 0.01, 3))) for i in range(400)]
+    truth = [station(i, (0, 0, 2)) for i in range(400)]
+    (row,) = by_stage(compare(solutions, truth))[-1:]
+    assert row.nees == pytest.approx(1.0, abs=3 * np.sqrt(2 / 1200))  # 3 sigma; half or twice the covariance fails
+    doubtful = solution(0, (0, 0, 2), cov_m2=None)
+    assert by_stage(compare([doubtful], truth))[-1].nees is None
+
+
+def test_availability_counts_what_had_a_truth() -> None:
+    solutions = [
+        solution(0, (0, 0, 2)),
+        solution(1, (0, 0, 2), status=Status.COASTING),
+        Solution(2 * NS_PER_S, Stage.SEARCHING, Status.LOST),
+        solution(9, (0, 0, 2)),
+    ]
+    rows = availability(solutions, [station(0, (0, 0, 2.1)), station(1, (0, 0, 2.1)), station(2, (0, 0, 0.4))])
+    assert rows == [
+        Availability("0-0.5 m", 1, 0, 0, 1),
+        Availability("1.5-2.2 m", 2, 1, 1, 0),
+        Availability("all", 3, 1, 1, 1),
+    ]
+    assert availability(solutions, []) == []

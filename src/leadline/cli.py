@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 
-from leadline import cli_calibrate
+from leadline import cli_calibrate, cli_evaluate
 from leadline.errors import InputError
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ app = typer.Typer(
 config_app = typer.Typer(no_args_is_help=True, help="The settings of a run.")
 app.add_typer(config_app, name="config")
 app.add_typer(cli_calibrate.app, name="calibrate")
+app.add_typer(cli_evaluate.app, name="evaluate")
 app.command("board")(cli_calibrate.board)
 
 

@@ -11,7 +11,17 @@ from leadline.evaluation.accuracy import STAGE_NAMES, Errors, Row, by_stage
 from leadline.pipeline import Report
 
 MM = 1000.0
-HEAD = ("n", "mean\n|error|", "RMS", "largest", "stated\nsigma", "within\n2 sigma", "silent\nerrors")
+HEAD = (
+    "n",
+    "mean\n|error|",
+    "mean",
+    "RMS",
+    "largest",
+    "stated\nsigma",
+    "within\n1/2/3 sigma",
+    "NEES",
+    "silent\nerrors",
+)
 NAMES = {"fused": "leadline", "paper": "the paper's method"}
 
 
@@ -24,8 +34,8 @@ def tables(report: Report) -> Iterator[Table]:
     for name, errors in known.items():
         if name == "paper":
             own = by_stage(errors, own_point=True)
-            yield _errors(f"{NAMES[name]}: D against its own point of the surface, mm", own)
-        yield _errors(f"{NAMES.get(name, name)}: range against the nearest surface, mm", by_stage(errors))
+            yield error_table(f"{NAMES[name]}: D against its own point of the surface, mm", own)
+        yield error_table(f"{NAMES.get(name, name)}: range against the nearest surface, mm", by_stage(errors))
 
 
 def beside(ours: Errors, paper: Errors) -> Table:
@@ -54,14 +64,17 @@ def _mean(row: Row | None) -> str:
     return "" if row is None else f"{MM * row.mean_m:.1f} ({MM * row.max_m:.1f})"
 
 
-def _errors(title: str, rows: list[Row]) -> Table:
-    table = Table(title=title, title_justify="left")
-    table.add_column("stage", no_wrap=True)
+def error_table(title: str, rows: list[Row], what: str = "stage") -> Table:
+    """Millimetres; an honest sigma holds 68/95/99.7 %, an honest covariance has a NEES of 1 a dimension."""
+    table = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0))
+    table.add_column(what, no_wrap=True)
     for name in HEAD:
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
-        numbers = [f"{MM * value:.1f}" for value in (row.mean_m, row.rms_m, row.max_m, row.sigma_m)]
-        table.add_row(row.name, str(row.count), *numbers, f"{row.coverage:.0%}", str(row.silent))
+        numbers = [f"{MM * value:.1f}" for value in (row.mean_m, row.bias_m, row.rms_m, row.max_m, row.sigma_m)]
+        within = "/".join(f"{100 * share:.0f}" for share in row.coverage)
+        nees = "" if row.nees is None else f"{row.nees:.2f}"
+        table.add_row(row.name, str(row.count), *numbers, within, nees, str(row.silent))
     return table
 
 

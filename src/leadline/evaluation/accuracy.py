@@ -19,7 +19,7 @@ from leadline.samples import NS_PER_S, Array, Solution, Stage, Status, Truth
 from leadline.target import Cylinder, Plane, Sphere, Target
 
 MAX_GAP_S = 0.5  # truth is interpolated between stations no farther apart
-SILENT_SIGMAS, SILENT_M = 5.0, 0.030  # an error beyond both, in a solution that calls itself valid, is a silent one
+SILENT_SIGMAS, SILENT_M = 5.0, 0.020  # an error beyond both, in a solution that calls itself valid, is a silent one
 DISTANCE_EDGES_M = (0.0, 0.5, 1.0, 1.5, 2.2, 3.0, 5.0, float("inf"))
 STAGE_NAMES = {
     Stage.SEARCHING: "0 searching",
@@ -44,20 +44,38 @@ class Errors:
     own_point_m: Array
     position_m: Array
     sigma_m: Array
+    nees: Array
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One line of a table of errors, metres. ``coverage``: the share of errors within two stated sigmas."""
+    """One line of a table of errors, metres: mean, largest and RMS size, mean with its sign, median stated sigma.
+
+    ``coverage``: the shares of errors within one, two and three stated sigmas (honest: 68, 95, 99.7 %). ``nees``: mean
+    over the three dimensions (honest: 1), None without stated covariances.
+    """
 
     name: str
     count: int
     mean_m: float
     max_m: float
     rms_m: float
+    bias_m: float
     sigma_m: float
-    coverage: float
+    coverage: tuple[float, float, float]
+    nees: float | None
     silent: int
+
+
+@dataclass(frozen=True, slots=True)
+class Availability:
+    """How many solutions at times of known truth were valid, coasting, lost."""
+
+    name: str
+    count: int
+    valid: int
+    coasting: int
+    lost: int
 
 
 def compare(solutions: Sequence[Solution], truth: Sequence[Truth], target: Target | None = None) -> Errors:
@@ -81,10 +99,17 @@ def compare(solutions: Sequence[Solution], truth: Sequence[Truth], target: Targe
                 solution.range_m - along if np.isfinite(along) else error,
                 float(np.linalg.norm(solution.position_m - station[:3])),
                 solution.range_sigma_m,
+                _nees(solution.position_m - station[:3], solution.cov_m2),
             )
         )
-    columns = np.array(rows, dtype=np.float64).reshape(-1, 7).T
+    columns = np.array(rows, dtype=np.float64).reshape(-1, 8).T
     return Errors(columns[0], columns[1].astype(np.int64), *columns[2:])
+
+
+def _nees(error_m: Array, cov_m2: Array | None) -> float:
+    if cov_m2 is None or np.linalg.matrix_rank(cov_m2) < len(error_m):
+        return float("nan")
+    return float(error_m @ np.linalg.solve(cov_m2, error_m))
 
 
 def by_stage(errors: Errors, *, own_point: bool = False) -> list[Row]:
@@ -95,28 +120,57 @@ def by_stage(errors: Errors, *, own_point: bool = False) -> list[Row]:
 
 def by_distance(errors: Errors, edges_m: Sequence[float] = DISTANCE_EDGES_M, *, own_point: bool = False) -> list[Row]:
     """A row for each bin of true range that occurs."""
-    r = errors.truth_range_m
-    bins = [(f"{low:g}-{high:g} m", (r >= low) & (r < high)) for low, high in pairwise(edges_m)]
-    return _rows(errors, bins, own_point)
+    return _rows(errors, _bins(errors.truth_range_m, edges_m), own_point)
+
+
+def availability(
+    solutions: Sequence[Solution], truth: Sequence[Truth], edges_m: Sequence[float] = DISTANCE_EDGES_M
+) -> list[Availability]:
+    """A row for each bin of true range that occurs, and one for all; none without truth."""
+    times = [station.t_ns for station in truth]
+    stations = [_truth_at(solution.t_ns, times, truth) for solution in solutions]
+    known = [(s.status, float(t[3])) for s, t in zip(solutions, stations, strict=True) if t is not None]
+    status, range_m = np.array([s for s, _ in known], dtype=object), np.array([r for _, r in known], dtype=np.float64)
+    groups = [*_bins(range_m, edges_m), ("all", np.isfinite(range_m))]
+    return [
+        Availability(name, int(chosen.sum()), *(int((status[chosen] == s).sum()) for s in Status))
+        for name, chosen in groups
+        if chosen.any()
+    ]
+
+
+def _bins(range_m: Array, edges_m: Sequence[float]) -> list[tuple[str, NDArray[np.bool_]]]:
+    return [(f"{low:g}-{high:g} m", (range_m >= low) & (range_m < high)) for low, high in pairwise(edges_m)]
 
 
 def _rows(errors: Errors, groups: Sequence[tuple[str, NDArray[np.bool_]]], own_point: bool) -> list[Row]:
     error = errors.own_point_m if own_point else errors.range_m
-    return [_row(name, error[chosen], errors.sigma_m[chosen]) for name, chosen in groups if chosen.any()]
+    return [
+        _row(name, error[chosen], errors.sigma_m[chosen], errors.nees[chosen])
+        for name, chosen in groups
+        if chosen.any()
+    ]
 
 
-def _row(name: str, error_m: Array, sigma_m: Array) -> Row:
+def _row(name: str, error_m: Array, sigma_m: Array, nees: Array) -> Row:
     size = np.abs(error_m)
+    known = nees[np.isfinite(nees)]
     return Row(
         name=name,
         count=len(size),
         mean_m=float(size.mean()),
         max_m=float(size.max()),
         rms_m=float(np.sqrt((size**2).mean())),
+        bias_m=float(error_m.mean()),
         sigma_m=float(np.median(sigma_m)),
-        coverage=float((size <= 2 * sigma_m).mean()),
+        coverage=(_share(size, sigma_m), _share(size, 2 * sigma_m), _share(size, 3 * sigma_m)),
+        nees=float(known.mean()) / 3 if len(known) else None,
         silent=int(((size > SILENT_SIGMAS * sigma_m) & (size > SILENT_M)).sum()),
     )
+
+
+def _share(size_m: Array, limit_m: Array) -> float:
+    return float((size_m <= limit_m).mean())
 
 
 def _truth_at(t_ns: int, times: Sequence[int], truth: Sequence[Truth]) -> Array | None:

@@ -1,4 +1,4 @@
-"""The picture at the end of a run (the only file that imports matplotlib): range, stages, uncertainty, errors.
+"""The pictures of a run (the only file that imports matplotlib): range, stages, uncertainty, errors.
 
 Colours are Okabe and Ito's, told apart by the colour-blind; every line also has its own style.
 """
@@ -69,6 +69,33 @@ def plot_run(path: Path, picture: Picture) -> None:
     upper.set_xlim(*span_s)
     upper.set_title(picture.title, loc="left", fontsize=11)
     lower.set_xlabel("time since the start [s]" if start_s else "time [s]")
+    figure.savefig(path)
+
+
+def plot_by_distance(path: Path, curve: Curve, title: str) -> None:
+    """Write one PNG: errors over true range, and beneath it in stated sigmas; colours are the stages."""
+    figure = Figure(figsize=(12, 7), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    errors = curve.errors
+    for stage, colour in STAGE_COLOURS.items():
+        of = errors.stage == stage
+        if of.any():
+            style: dict[str, Any] = {"color": colour, "markersize": _dot(errors.t_s), "label": STAGE_LABELS[stage]}
+            upper.plot(errors.truth_range_m[of], 1e3 * curve.error_m[of], "o", **style)
+            lower.plot(errors.truth_range_m[of], curve.error_m[of] / errors.sigma_m[of], "o", **style)
+    for sigmas, dash in ((1, "-"), (2, "--"), (3, ":")):
+        for side in (sigmas, -sigmas):
+            lower.axhline(side, color=GREY, linestyle=dash, linewidth=0.9)
+    for axes, name in ((upper, "range error [mm]"), (lower, "range error [stated sigmas]")):
+        axes.grid(visible=True, color="#DDDDDD", linewidth=0.6)
+        axes.set_axisbelow(True)
+        axes.axhline(0, color=BLACK, linewidth=0.8)
+        axes.set_ylabel(name)
+    if len(errors.t_s):
+        upper.legend(**BESIDE)
+    upper.set_title(title, loc="left", fontsize=11)
+    lower.set_xlabel("true range [m]")
     figure.savefig(path)
 
 
