@@ -16,6 +16,7 @@ from leadline.calibration.heldout import check_rig
 from leadline.calibration.verdict import Verdict, best_images, cross_check, verdict
 from leadline.calibration.views import BoardView
 from leadline.errors import InputError
+from leadline.pipeline.calibrate_cameras import find_boards
 from leadline.rig import Rig
 from leadline.rig_derivatives import Medium
 from leadline.wire.calibration_folder import read_calibration_folder
@@ -207,3 +208,36 @@ def test_pairing(tmp_path: Path) -> None:
     mono = read_calibration_folder(images(tmp_path / "c", ["bc1.png", "bc10.png", "bc2.png"]))
     assert mono.mono
     assert [pair.name for pair in mono.pairs] == ["bc1.png", "bc2.png", "bc10.png"]
+
+
+def test_side_by_side_images(tmp_path: Path) -> None:
+    """``stereo*`` files, or a dive's column ``stereo``: the left half is the left camera's."""
+    rng = np.random.default_rng(1)
+    both = rng.integers(0, 255, (6, 16), np.uint8)
+    for folder in (tmp_path / "plain", tmp_path / "dive"):
+        folder.mkdir()
+        for i in range(2):
+            cv2.imwrite(str(folder / f"stereo_{i}.png"), both)
+    (tmp_path / "dive" / "frames.csv").write_text("t_s,stereo\n0,stereo_0.png\n1,stereo_1.png\n")
+    for folder in (tmp_path / "plain", tmp_path / "dive"):
+        found = read_calibration_folder(folder)
+        assert not found.mono
+        assert len(found.files()) == 2
+        left, right = found.pairs[1].load()
+        np.testing.assert_array_equal(left, both[:, :8])
+        np.testing.assert_array_equal(right, both[:, 8:])
+    cv2.imwrite(str(tmp_path / "plain" / "stereo_0.png"), both[:, 1:])
+    with pytest.raises(InputError, match="even width"):
+        read_calibration_folder(tmp_path / "plain").pairs[0].load()
+
+
+def test_boards_are_found_in_side_by_side_images(tmp_path: Path) -> None:
+    picture = drawn(Board(6, 5, 0.03))
+    for i in range(2):
+        cv2.imwrite(str(tmp_path / f"stereo_{i}.png"), np.hstack([picture, np.full_like(picture, 255 * i) | picture]))
+    found = find_boards(tmp_path, Medium.AIR, Board(6, 5, 0.03))
+    assert found.size == picture.shape[::-1]
+    assert found.not_found == ["stereo_1.png (right)"]
+    assert found.views[0].left is not None
+    assert found.views[0].right is not None
+    np.testing.assert_array_equal(found.views[0].left.pixels, found.views[0].right.pixels)

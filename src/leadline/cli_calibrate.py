@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from leadline.cli_progress import progress
 from leadline.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,8 +18,12 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="Calibrate cameras, port, laser and range; check a rig.")
 
+_FILE_WIDTH = 160  # of tables that go to a file or a pipe, where nothing need be cut off
+
 BoardOption = Annotated[str, typer.Option(help="Inner corners, COLUMNSxROWS.")]
 SquareOption = Annotated[float, typer.Option(help="Side of a square in metres.")]
+CharucoOption = Annotated[str | None, typer.Option(help="ArUco dictionary of a ChArUco board, such as 5X5_100.")]
+MarkerOption = Annotated[float | None, typer.Option(help="Side of a ChArUco marker, metres; default: 0.7 squares.")]
 
 
 class AirPort(StrEnum):
@@ -39,8 +44,8 @@ def cameras(
     water_state: Annotated[
         str | None, typer.Option(help="salinity=PSU,temperature=C,depth=M; default: index 1.338 +-0.004.")
     ] = None,
-    charuco: Annotated[str | None, typer.Option(help="ArUco dictionary of a ChArUco board, such as 5X5_100.")] = None,
-    marker: Annotated[float | None, typer.Option(help="Side of a ChArUco marker, metres.")] = None,
+    charuco: CharucoOption = None,
+    marker: MarkerOption = None,
     warp: Annotated[bool, typer.Option("--warp", help="The board may be bent: estimate by how much.")] = False,
 ) -> None:
     """Cameras, their pose, the port and the water's index from boards in air and in water."""
@@ -49,14 +54,9 @@ def cameras(
     from leadline.pipeline.calibrate_laser import water_state as stated_water  # noqa: PLC0415
 
     settings = CameraSettings(port_thickness, port_index, stated_water(water_state), warp)
-    report = calibrate(
-        _board(board, square, charuco, marker),
-        out,
-        air=air,
-        water=water,
-        air_port=air_port is AirPort.WITH,
-        settings=settings,
-    )
+    target, behind_port = _board(board, square, charuco, marker), air_port is AirPort.WITH
+    with progress("looking for boards") as tick:
+        report = calibrate(target, out, air=air, water=water, air_port=behind_port, settings=settings, tick=tick)
     _print_cameras(report)
 
 
@@ -66,13 +66,16 @@ def check(
     dive: Annotated[Path, typer.Option(help="Folder of board images or a dive folder, not used in the calibration.")],
     board: BoardOption,
     square: SquareOption,
+    charuco: CharucoOption = None,
+    marker: MarkerOption = None,
 ) -> None:
     """How good is a rig on boards that it has not seen? Verdict and next action."""
     from leadline.cli_calibrate_tables import check_lines  # noqa: PLC0415
     from leadline.pipeline.calibrate_cameras import check as run_check  # noqa: PLC0415
 
-    target = _board(board, square)
-    held_out, remarks = run_check(rig, dive, target)
+    target = _board(board, square, charuco, marker)
+    with progress("looking for boards") as tick:
+        held_out, remarks = run_check(rig, dive, target, tick)
     for line in (*remarks, *check_lines(held_out, target)):
         typer.echo(line)
 
@@ -109,9 +112,9 @@ def laser(
     from leadline.pipeline import calibrate_laser  # noqa: PLC0415
 
     aimed_at = _optional_board(board, square)
-    report = calibrate_laser.laser(
-        dive, rig, out, board=aimed_at, medium=medium.value, air_port=air_port.value, method=method.value
-    )
+    how = {"medium": medium.value, "air_port": air_port.value, "method": method.value}
+    with progress("looking for the spot" if aimed_at is None else "looking for boards") as tick:
+        report = calibrate_laser.laser(dive, rig, out, board=aimed_at, **how, tick=tick)
     _say(report, out)
 
 
@@ -139,7 +142,9 @@ def water_range(
     _optional_board(board, square)  # a spot needs none; it is checked all the same
     guess = calibrate_laser.port_guess(port_distance, port_thickness, port_index)
     water = calibrate_laser.water_state(water_state)
-    _say(calibrate_laser.water_range(dive, rig, out, refined=refine, guess=guess, water=water), out)
+    with progress("looking for the spot") as tick:
+        report = calibrate_laser.water_range(dive, rig, out, refined=refine, guess=guess, water=water, tick=tick)
+    _say(report, out)
 
 
 def _optional_board(size: str | None, square: float | None) -> Board | None:
@@ -156,6 +161,8 @@ def _say(report: LaserReport, out: Path) -> None:
     from rich.table import Table  # noqa: PLC0415
 
     console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = _FILE_WIDTH
     for line in report.lines:
         typer.echo(line)
     for title, heads, rows in report.tables:
@@ -192,8 +199,8 @@ def board(
     out: Annotated[Path, typer.Option(help="PDF to write.")] = Path("board.pdf"),
     size: Annotated[str, typer.Option(help="Inner corners, COLUMNSxROWS.")] = "11x8",
     square: SquareOption = 0.030,
-    charuco: Annotated[str | None, typer.Option(help="ArUco dictionary for a ChArUco board, such as 5X5_100.")] = None,
-    marker: Annotated[float | None, typer.Option(help="Side of a ChArUco marker, metres.")] = None,
+    charuco: CharucoOption = None,
+    marker: MarkerOption = None,
 ) -> None:
     """A calibration board as a PDF that measures right on paper (print at 100 %)."""
     from leadline.wire.board_pdf import write_board  # noqa: PLC0415

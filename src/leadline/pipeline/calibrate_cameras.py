@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from leadline.calibration.board import Board, Corners, find_corners
+from leadline.calibration.board import Board, find_corners
 from leadline.calibration.cameras import CameraCalibration, CameraSettings, calibrate_cameras
 from leadline.calibration.comparison import ModelError, comparison, pinhole_in_water
 from leadline.calibration.heldout import HeldOut, check_rig
@@ -19,7 +19,7 @@ from leadline.errors import InputError
 from leadline.evaluation.calibration_report import write_page
 from leadline.rig import Rig
 from leadline.rig_derivatives import Medium
-from leadline.wire.calibration_folder import CalibrationFolder, read_calibration_folder, read_image
+from leadline.wire.calibration_folder import CalibrationFolder, ImagePair, read_calibration_folder
 from leadline.wire.camera_file import write_camera
 from leadline.wire.notice import Notice
 
@@ -41,35 +41,37 @@ class Boards:
         """Images in which the board was not seen."""
         out = []
         for view, pair in zip(self.views, self.folder.pairs, strict=True):
-            sides = [(view.left, pair.left), (view.right, pair.right)]
-            out += [path.name for corners, path in sides if corners is None and path is not None]
+            both = {"left": (view.left, pair.left), "right": (view.right, pair.right)}
+            for side, (corners, file) in both.items():
+                if corners is None and file is not None:
+                    out.append(f"{file.name} ({side})" if pair.left == pair.right else file.name)
         return out
 
 
 def find_boards(path: Path, medium: Medium, board: Board, tick: Tick = lambda done, total: None) -> Boards:
     """Look for the board in all images of a folder. InputError for a folder or an image that is no good."""
     folder = read_calibration_folder(path)
-    files = folder.files()
-    sizes: dict[tuple[int, int], Path] = {}
-    corners: dict[Path, Corners | None] = {}
+    sizes: dict[tuple[int, int], str] = {}
+    views = list[BoardView]()
 
-    def look(file: Path) -> tuple[Path, tuple[int, int], Corners | None]:
-        image = read_image(file)
-        return file, (image.shape[1], image.shape[0]), find_corners(image, board)
+    def look(pair: ImagePair) -> tuple[list[tuple[int, int]], BoardView]:
+        left, right = pair.load()
+        seen = [find_corners(image, board) for image in (left, right) if image is not None]
+        seen_sizes = [(image.shape[1], image.shape[0]) for image in (left, right) if image is not None]
+        return seen_sizes, BoardView(pair.name, medium, seen[0], None if right is None else seen[1])
 
     with ThreadPoolExecutor(_THREADS) as pool:
-        for done, (file, size, found) in enumerate(pool.map(look, files), start=1):
-            sizes.setdefault(size, file)
-            corners[file] = found
-            tick(done, len(files))
+        for done, (seen_sizes, view) in enumerate(pool.map(look, folder.pairs), start=1):
+            views.append(view)
+            pair = folder.pairs[done - 1]
+            for size, file in zip(seen_sizes, (pair.left, pair.right), strict=False):
+                sizes.setdefault(size, "" if file is None else file.name)
+            tick(done, len(folder.pairs))
     if len(sizes) > 1:
         (a, file_a), (b, file_b), *_ = sizes.items()
-        what = f"images differ in size: {file_a.name} {a[0]}x{a[1]}, {file_b.name} {b[0]}x{b[1]}"
+        what = f"images differ in size: {file_a} {a[0]}x{a[1]}, {file_b} {b[0]}x{b[1]}"
         raise InputError(what, str(path), "use images of one size, as the cameras give them")
-    views = tuple(
-        BoardView(p.name, medium, corners[p.left], None if p.right is None else corners[p.right]) for p in folder.pairs
-    )
-    return Boards(folder, views, next(iter(sizes)), folder.notices)
+    return Boards(folder, tuple(views), next(iter(sizes)), folder.notices)
 
 
 def now() -> str:

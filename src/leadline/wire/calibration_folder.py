@@ -1,7 +1,8 @@
 """A calibration folder: images of a board, of one camera or of two, paired by what their names share.
 
-``left*`` with ``right*`` files, or folders ``left/`` and ``right/``, paired by the rest of the name, else by order;
-anything else is one camera's. Images are read when their turn comes.
+``left*`` with ``right*`` files, or folders ``left/`` and ``right/``, paired by the rest of the name, else by order; or
+``stereo*`` files, side by side, left half = left camera; all else is one camera's. A dive folder goes by its table.
+Images are read when their turn comes.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from pathlib import Path
 
 from leadline.errors import InputError
 from leadline.samples import Image
-from leadline.wire.dive_folder import read_frames
-from leadline.wire.images import decode_image
+from leadline.wire.dive_folder import read_frames, split_side_by_side
+from leadline.wire.images import SizeError, decode_image
 from leadline.wire.notice import Notice, NoticeKind
 
 SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
@@ -22,11 +23,25 @@ SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
 
 @dataclass(frozen=True, slots=True)
 class ImagePair:
-    """The files of one moment; ``right`` is None for one camera. ``name`` is the left file's, seen from the folder."""
+    """The files of one moment; ``right`` is None for one camera, ``left`` itself where both are side by side in it.
+
+    ``name`` is the left file's, seen from the folder.
+    """
 
     name: str
     left: Path
     right: Path | None = None
+
+    def load(self) -> tuple[Image, Image | None]:
+        """The images. InputError where one cannot be read or halved."""
+        if self.right != self.left:
+            return read_image(self.left), None if self.right is None else read_image(self.right)
+        try:
+            return split_side_by_side(read_image(self.left))
+        except SizeError as error:
+            raise InputError(
+                str(error), str(self.left), "left half = left camera, right half = right camera"
+            ) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +65,7 @@ class CalibrationFolder:
         return total.hexdigest()
 
     def files(self) -> list[Path]:
-        return [path for pair in self.pairs for path in (pair.left, pair.right) if path is not None]
+        return list(dict.fromkeys(path for pair in self.pairs for path in (pair.left, pair.right) if path is not None))
 
 
 def read_calibration_folder(folder: Path) -> CalibrationFolder:
@@ -64,7 +79,8 @@ def read_calibration_folder(folder: Path) -> CalibrationFolder:
         single = _images(folder)
         if not single:
             raise InputError("has no images", str(folder), f"give {', '.join(sorted(SUFFIXES))} files of the board")
-        return CalibrationFolder(folder, tuple(ImagePair(path.name, path) for path in single))
+        both = all(path.stem.lower().startswith("stereo") for path in single)
+        return CalibrationFolder(folder, tuple(ImagePair(p.name, p, p if both else None) for p in single))
     if not left or not right:
         missing = "left" if right else "right"
         raise InputError(f"has no {missing} images", str(folder), "name them left* and right*, or use two folders")
@@ -74,9 +90,7 @@ def read_calibration_folder(folder: Path) -> CalibrationFolder:
 def _dive(folder: Path) -> CalibrationFolder:
     notices: list[Notice] = []
     entries = read_frames(folder, notices.append)
-    if any(len(entry.files) != 2 for entry in entries):
-        raise InputError("has side-by-side frames", str(folder / "frames.csv"), "split them into left and right files")
-    pairs = tuple(ImagePair(entry.name, *entry.files) for entry in entries)
+    pairs = tuple(ImagePair(entry.name, entry.files[0], entry.files[-1]) for entry in entries)
     return CalibrationFolder(folder, pairs, tuple(notices))
 
 
