@@ -8,6 +8,7 @@ make the filter start again from the first of them. docs/filter.md has the equat
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from leadline.estimation.settings import FilterSettings
 from leadline.estimation.state import Estimate, State
 from leadline.estimation.turns import Turns
 from leadline.samples import NS_PER_S, Array, Kind, Measurement, Rejected, VehicleMotion
+
+MOST_TURNED_AWAY = 30
+SUSPECT, SUSPECT_FOR_S = 0.25, 0.3  # share of the gate from which a position that was taken may be taken back; how late
 
 
 class Filter:
@@ -55,11 +59,15 @@ class Filter:
     def add(self, t_ns: int, measurements: Sequence[Measurement]) -> tuple[list[Kind], list[Rejected]]:
         """Take measurements of one instant; an earlier one is put in its place and the rest replayed."""
         entry = self._history.insert(t_ns, tuple(measurements), self._apply)
-        if self._lost_lock(measurements, () if entry is None else entry.used):
-            entry = self._start_again() or entry
-        if entry is None:
+        whole = [m for m in measurements if len(m.z) >= 3]  # those that fix the position by themselves
+        if entry is not None and (entry.taken.position or (whole and self._take_back(entry))):
+            self._turned_away.clear()
+        elif whole and (agreed := self._lost_lock(whole[0])):
+            self._start_again(agreed)
+        elif entry is None:
             return [], [Rejected(m.kind, t_ns, "too late") for m in measurements]
-        return list(entry.used), list(entry.rejected)
+        taken = self._history.last(t_ns).taken
+        return list(taken.used), list(taken.rejected)
 
     def add_motion(self, motion: VehicleMotion) -> None:
         """How the vehicle moves: its rotation carries the predictions from now on, its velocity is a measurement."""
@@ -69,8 +77,7 @@ class Filter:
 
     def at(self, t_ns: int) -> Estimate:
         """The state at a time: from all that was measured until then (and not after)."""
-        entries = self._history.entries
-        return self._predict(entries[max(self._history.place(t_ns), 1) - 1].after, t_ns).estimate()
+        return self._predict(self._history.last(t_ns).after, t_ns).estimate()
 
     def _predict(self, state: State, t_ns: int) -> State:
         return self._model.predict(state, t_ns, *self._turns.mean(state.t_ns, t_ns))
@@ -79,22 +86,35 @@ class Filter:
         before = self._predict(state, t_ns)
         if isinstance(inputs, VehicleMotion):
             return Entry(inputs, before, take_motion(before, inputs, self._settings))
-        after, used, rejected = take(before, inputs, self._settings)
-        return Entry(inputs, before, after, tuple(used), tuple(rejected))
+        return Entry(inputs, before, *take(before, inputs, self._settings))
 
-    def _lost_lock(self, measurements: Sequence[Measurement], used: Sequence[Kind]) -> bool:
-        """Whether positions were turned away for long enough, agree among themselves, and none was taken meanwhile."""
-        whole = [m for m in measurements if len(m.z) >= 3]  # those that fix the position by themselves
-        if not whole:
+    def _take_back(self, entry: Entry) -> bool:
+        """Whether a position was turned away for a wrong one taken shortly before: without that, all is well again."""
+        at = self._history.place(entry.t_ns) - 1
+        oldest_ns = entry.t_ns - int(SUSPECT_FOR_S * NS_PER_S)
+        suspects = [i for i, e in enumerate(self._history.entries[:at]) if i and e.t_ns >= oldest_ns]
+        if not suspects:
             return False
-        if any(m.kind in used for m in whole):
-            self._turned_away.clear()
+        suspect = max(suspects, key=lambda i: self._history.entries[i].taken.surprise)
+        if self._history.entries[suspect].taken.surprise < SUSPECT:
             return False
-        if self._turned_away and not self._agree(self._turned_away[-1], whole[0]):
-            self._turned_away.clear()
-        self._turned_away.append(whole[0])
-        lasted_s = (whole[0].t_ns - self._turned_away[0].t_ns) / NS_PER_S
-        return len(self._turned_away) >= self._settings.recover_after and lasted_s >= self._settings.recover_after_s
+        entries = self._history.without(suspect, self._apply)
+        if not entries[at - 1].taken.position:
+            return False
+        self._history.entries = entries
+        return True
+
+    def _lost_lock(self, newest: Measurement) -> list[Measurement]:
+        """The positions that were turned away, agree with the newest, and went on for long enough; else none.
+
+        A wrong one among them is left out; one that is taken ends them.
+        """
+        agreed = [m for m in self._turned_away if self._agree(m, newest)]
+        self._turned_away = [*self._turned_away[-MOST_TURNED_AWAY:], newest]
+        if len(agreed) + 1 < self._settings.recover_after:
+            return []
+        lasted_s = (newest.t_ns - agreed[0].t_ns) / NS_PER_S
+        return [*agreed, newest] if lasted_s >= self._settings.recover_after_s else []
 
     def _agree(self, before: Measurement, after: Measurement) -> bool:
         dt = (after.t_ns - before.t_ns) / NS_PER_S
@@ -102,14 +122,17 @@ class Filter:
         spread = before.cov[:3, :3] + after.cov[:3, :3] + (self._settings.initial_speed_m_s * dt) ** 2 * np.eye(3)
         return bool(moved @ np.linalg.solve(spread, moved) < self._settings.gate_sigmas**2)
 
-    def _start_again(self) -> Entry | None:
-        """From the first of the positions that were turned away, with all that was measured since; the newest entry."""
-        first, *others = self._turned_away
+    def _start_again(self, positions: Sequence[Measurement]) -> None:
+        """From the first of the positions that were turned away, with all that was measured since."""
+        first, *others = positions
         since: list[tuple[int, Inputs]] = [(e.t_ns, e.inputs) for e in self._history.since(first.t_ns)]
         if first.t_ns < self._history.entries[0].t_ns:  # they were too late, as the clock was set back
             since = [(m.t_ns, (m,)) for m in others]
+        before = self._history.entries[-1].after
         self.start(first.t_ns, first.z, first.cov)
-        entry = None
+        begin = self._history.entries[0].after
+        if len(begin.y) == len(before.y):
+            begin.y[-1], begin.P[-1, -1] = before.y[-1], before.P[-1, -1]  # the clock goes on as it did
+        self._history.begin(replace(begin, noise=before.noise))
         for t_ns, inputs in since:
-            entry = self._history.insert(t_ns, inputs, self._apply)
-        return entry
+            self._history.insert(t_ns, inputs, self._apply)

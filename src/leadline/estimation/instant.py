@@ -8,36 +8,37 @@ from dataclasses import replace
 import numpy as np
 
 from leadline.estimation.models import cross
+from leadline.estimation.replay import Taken
 from leadline.estimation.settings import FilterSettings
 from leadline.estimation.state import State
-from leadline.estimation.update import Linear, Refused, update
+from leadline.estimation.update import Linear, Refused, gate_threshold, update
 from leadline.samples import Array, Kind, Measurement, Rejected, VehicleMotion
 
 UNMEASURED_TURN_RAD_S = 0.05  # how much a vehicle may turn while its velocity is measured and its rotation is not
 
 
-def take(
-    state: State, measurements: Sequence[Measurement], settings: FilterSettings
-) -> tuple[State, list[Kind], list[Rejected]]:
-    """The state after an instant's measurements, the kinds taken, and those turned away with why."""
+def take(state: State, measurements: Sequence[Measurement], settings: FilterSettings) -> tuple[State, Taken]:
+    """The state after an instant's measurements, one after another, and what became of them."""
     used: list[Kind] = []
     rejected: list[Rejected] = []
-    fixed, predicted = False, state
+    position, surprise, predicted = False, 0.0, state
     for m in measurements:
-        state, refused = _take(state, m, settings)
-        if refused is None:
-            used.append(m.kind)
-            fixed = fixed or len(m.z) >= 3
-        else:
-            rejected.append(Rejected(m.kind, m.t_ns, refused.reason, refused.nis))
-    if settings.adapt and fixed:
+        state, result = _take(state, m, settings)
+        if isinstance(result, Refused):
+            rejected.append(Rejected(m.kind, m.t_ns, result.reason, result.nis))
+            continue
+        used.append(m.kind)
+        if len(m.z) >= 3:
+            position, surprise = True, max(surprise, result / gate_threshold(len(m.z), settings.gate_sigmas))
+    if settings.adapt and position:
         moved = state.y[:3] - predicted.y[:3]
         noise = state.noise.after_correction(moved, predicted.P[:3, :3], state.P[:3, :3], settings.acceleration_psd)
         state = replace(state, noise=noise)
-    return state, used, rejected
+    return state, Taken(tuple(used), tuple(rejected), position, surprise)
 
 
-def _take(state: State, m: Measurement, settings: FilterSettings) -> tuple[State, Refused | None]:
+def _take(state: State, m: Measurement, settings: FilterSettings) -> tuple[State, float | Refused]:
+    """The state after it with the innovation's normalised square, or the state as it was with why."""
     scale = state.noise.scale(m.kind)
     cov = m.cov if scale == 1.0 else m.cov * scale
     linear = _reading(state, m) if m.kind is Kind.LASER else _plain(state, m)
@@ -53,20 +54,22 @@ def _take(state: State, m: Measurement, settings: FilterSettings) -> tuple[State
         noise = noise.after_innovation(m.kind, nis, len(m.z))
     if isinstance(result, Refused):
         return replace(state, noise=noise, refused=refusals), result
-    return State(state.t_ns, result[0], result[1], state.k, noise, state.turn_rad_s, refusals), None
+    return State(state.t_ns, result[0], result[1], state.k, noise, state.turn_rad_s, refusals), result[2]
 
 
 def _with_a_new_clock(
     state: State, m: Measurement, cov: Array, settings: FilterSettings
-) -> tuple[State, Refused | None]:
+) -> tuple[State, float | Refused]:
     """Readings that are turned away one after another: perhaps the laser's clock was set. Is it that?"""
     P = state.P.copy()
     P[-1, :] = P[:, -1] = 0.0
     P[-1, -1] = settings.laser_clock_sigma_s**2
-    result = update(state.y, P, m.z, cov, _reading(replace(state, P=P), m), settings.gate_sigmas, settings.student_nu)
+    y = state.y.copy()
+    y[-1] = 0.0
+    result = update(y, P, m.z, cov, _reading(replace(state, P=P), m), settings.gate_sigmas, settings.student_nu)
     if isinstance(result, Refused):
         return replace(state, refused=state.refused + 1), result
-    return replace(state, y=result[0], P=result[1], refused=0), None
+    return replace(state, y=result[0], P=result[1], refused=0), result[2]
 
 
 def take_motion(state: State, motion: VehicleMotion, settings: FilterSettings) -> State:
@@ -104,12 +107,15 @@ def _reading(state: State, m: Measurement) -> Linear:
     """A reading was taken tau after its stamp, when the target was v tau farther on.
 
     Both are uncertain, and the variance of their product is noise besides (second-order filter: Jazwinski 1970, 9.3).
+    The product is taken straight about the prediction: else one wrong reading finds a clock and a speed to suit it.
     """
     d, n, P = 3 + state.k, len(state.y), state.P
+    velocity, tau = state.y[d : d + 3], float(state.y[-1])
+    product = P[d : d + 3, d : d + 3] * P[-1, -1] + np.outer(P[d : d + 3, -1], P[d : d + 3, -1])
 
     def linear(y: Array) -> tuple[Array, Array, float] | None:
-        x, velocity, tau = y[:d].copy(), y[d : d + 3], float(y[-1])
-        x[:3] += tau * velocity
+        x = y[:d].copy()
+        x[:3] += tau * y[d : d + 3] + (y[-1] - tau) * velocity
         seen = m.predict(x)
         if seen is None:
             return None
@@ -119,7 +125,6 @@ def _reading(state: State, m: Measurement) -> Linear:
         H[:, :d] = H_x
         H[0, d : d + 3] = tau * slope
         H[0, -1] = slope @ velocity
-        extra = float(slope @ P[d : d + 3, d : d + 3] @ slope * P[-1, -1] + (slope @ P[d : d + 3, -1]) ** 2)
-        return h, H, extra
+        return h, H, float(slope @ product @ slope)
 
     return linear

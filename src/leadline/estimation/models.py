@@ -51,7 +51,9 @@ class MotionModel:
     def predict(self, state: State, t_ns: int, turn_rad_s: Array | None = None, turn_sigma: float = 0.0) -> State:
         """The state at another time; ``turn_rad_s`` (3,): the camera's mean rotation until then, where measured."""
         F, Q = self.step(state, t_ns, turn_rad_s, turn_sigma)
-        return State(t_ns, F @ state.y, F @ state.P @ F.T + Q, self.k, state.noise, turn_rad_s)
+        P = F @ state.P @ F.T
+        P = (P + P.T) / 2 + Q  # rounding must not make it lopsided: that would grow
+        return State(t_ns, F @ state.y, P, self.k, state.noise, turn_rad_s, state.refused)
 
     def step(
         self, state: State, t_ns: int, turn_rad_s: Array | None = None, turn_sigma: float = 0.0

@@ -13,14 +13,26 @@ Inputs = tuple[Measurement, ...] | VehicleMotion
 
 
 @dataclass(frozen=True, slots=True)
+class Taken:
+    """What became of an instant's measurements. surprise: of the positions taken, the largest share of the gate."""
+
+    used: tuple[Kind, ...] = ()
+    rejected: tuple[Rejected, ...] = ()
+    position: bool = False
+    surprise: float = 0.0
+
+
+NOTHING = Taken()
+
+
+@dataclass(frozen=True, slots=True)
 class Entry:
-    """An instant: what was measured, the state before and after it, and what became of each measurement."""
+    """An instant: what was measured, the state before and after it, and what became of it."""
 
     inputs: Inputs
     before: State
     after: State
-    used: tuple[Kind, ...] = ()
-    rejected: tuple[Rejected, ...] = ()
+    taken: Taken = NOTHING
 
     @property
     def t_ns(self) -> int:
@@ -53,12 +65,22 @@ class History:
             return None
         later = self.entries[at:]
         del self.entries[at:]
-        entry = apply(self.entries[-1].after, t_ns, inputs)
-        self.entries.append(entry)
+        self.entries.append(apply(self.entries[-1].after, t_ns, inputs))
         for old in later:
             self.entries.append(apply(self.entries[-1].after, old.t_ns, old.inputs))
         self._forget()
-        return entry
+        return self.entries[-1 - len(later)]
+
+    def without(self, at: int, apply: Apply) -> list[Entry]:
+        """The entries as they would be had nothing been measured at that one."""
+        entries = self.entries[:at]
+        for old in self.entries[at + 1 :]:
+            entries.append(apply(entries[-1].after, old.t_ns, old.inputs))
+        return entries
+
+    def last(self, t_ns: int) -> Entry:
+        """The entry at a time or the last before it; the first, where all are later."""
+        return self.entries[max(self.place(t_ns), 1) - 1]
 
     def since(self, t_ns: int) -> list[Entry]:
         """The entries after a time."""

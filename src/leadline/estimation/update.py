@@ -14,6 +14,7 @@ from math import sqrt
 
 import numpy as np
 
+from leadline.estimation.small import cholesky
 from leadline.samples import Array
 
 RELINEARISED = 5  # at most, where h is curved over the state's spread
@@ -46,45 +47,60 @@ def update(
         return Refused("cannot come from this target")
     h, H, extra = seen
     noise = cov + extra if extra else cov
-    off, point, P_after, nis = z - h, y, P, 0.0
+    whitener = _whitener(noise)
+    if whitener is None:
+        return Refused("its covariance is not one")
+    off, point, nis = z - h, y, 0.0
     for turn in range(RELINEARISED):
         PHt = P @ H.T
-        axes = _axes(H @ PHt, noise)
-        if axes is None:
-            return Refused("its covariance is not one")
-        T, a = axes
+        T, a = _axes(whitener, H @ PHt)
         u = T @ off
+        squares, spread = (u * u).tolist(), a.tolist()
         if turn == 0:
-            nis = float(u @ (u / (1 + a)))
-            if not nis <= gate_threshold(len(u), gate_sigmas):
+            nis = sum(square / (1 + variance) for square, variance in zip(squares, spread, strict=True))
+            if not nis <= gate_threshold(len(squares), gate_sigmas):
                 return Refused("disagrees", nis)
-        s = _scale((u * u).tolist(), a.tolist(), nu)
+        s = _scale(squares, spread, nu)
         B, gain = PHt @ T.T, s / (1 + s * a)
-        moved = y + B @ (gain * u)
-        P_after = P - (B * gain) @ B.T
-        seen = linear(moved)
+        step = B @ (gain * u)
+        seen = linear(y + step)
         if seen is None:
             return Refused("cannot come from this target")
-        curved = seen[0] - h - H @ (moved - point)
-        point = moved
-        if np.abs(T @ curved).max() < SETTLED:
+        curved = T @ (seen[0] - h - H @ (step if turn == 0 else y + step - point))
+        point = y + step
+        if turn == RELINEARISED - 1 or float(curved @ curved) < SETTLED**2:
             break
         h, H, _ = seen
-        off = z - h + H @ (point - y)
-    return point, P_after, nis
+        off = z - h + H @ step
+    return point, P - (B * gain) @ B.T, nis
 
 
-def _axes(predicted: Array, noise: Array) -> tuple[Array, Array] | None:
-    """T (m, m) and a (m,): T noise T' = 1, T predicted T' = diag(a). None where a covariance is none."""
-    if len(noise) == 1:
-        variance = float(noise[0, 0])
-        return (np.array([[1 / sqrt(variance)]]), predicted[0] / variance) if variance > 0 else None
-    try:
-        W = np.linalg.inv(np.linalg.cholesky(noise))
-        a, U = np.linalg.eigh(W @ predicted @ W.T)
-    except np.linalg.LinAlgError:
+def _axes(whitener: Array, predicted: Array) -> tuple[Array, Array]:
+    """T (m, m) and a (m,): T noise T' = 1, T predicted T' = diag(a)."""
+    if len(predicted) == 1:
+        return whitener, predicted[0] * whitener[0, 0] ** 2
+    a, U = np.linalg.eigh(whitener @ predicted @ whitener.T)
+    return U.T @ whitener, np.maximum(a, 0.0)
+
+
+def _whitener(C: Array) -> Array | None:
+    """W (m, m), lower, with W C W' = 1; None where C is no covariance. Up to three by hand: that takes a third."""
+    if len(C) > 3:
+        try:
+            return np.linalg.inv(np.linalg.cholesky(C))
+        except np.linalg.LinAlgError:
+            return None
+    factor = cholesky(C.tolist())
+    if factor is None:
         return None
-    return U.T @ W, np.maximum(a, 0.0)
+    a, b, c, d, e, f = factor  # of the lower triangle, row by row
+    if len(C) == 1:
+        return np.array([[1 / a]])
+    if len(C) == 2:
+        return np.array([[1 / a, 0.0], [-b / (a * c), 1 / c]])
+    return np.array(
+        [[1 / a, 0.0, 0.0], [-b / (a * c), 1 / c, 0.0], [(b * e - c * d) / (a * c * f), -e / (c * f), 1 / f]]
+    )
 
 
 def _scale(squares: list[float], a: list[float], nu: float) -> float:
