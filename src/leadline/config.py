@@ -103,6 +103,9 @@ class StatusConfig(Section):
     recent_s: float = Field(1.0, gt=0, description="a sensor used within this time is available (the stages)")
     coast_after_s: float = Field(1.0, gt=0, description="without any measurement for so long: coasting")
     lost_after_s: float = Field(3.0, gt=0, description="and then: lost")
+    blind_after_s: float = Field(0.3, gt=0, description="a target not seen for so long may have gone aside")
+    wander_m: float = Field(0.04, gt=0, description="how far an unseen target strays sideways: station keeping")
+    drift_m_s: float = Field(0.01, ge=0, description="and how much more with every second")
     bias_px: float = Field(0.03, ge=0, description="matching error that no averaging removes")
     laser_bias_m: float = Field(0.0005, ge=0, description="laser error that no averaging removes")
 

@@ -105,6 +105,7 @@ class Kind(StrEnum):
     SPOT = "spot"
     LASER = "laser"
     SIZE = "size"
+    HELD = "held"  # none of a sensor: an unseen target has not gone far sideways; never told as used
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,12 +1,4 @@
-"""The laser in a dive: its readings with what is not known of where the beam meets the target, its spot in a frame.
-
-**A reading while nothing is seen.** The beam's length to a curved surface depends on how far beside its middle the beam
-hits. While that is well known, the length is linear in the target's vector. When the target has not been seen for a
-while it is not, and a linear filter would take the growing length aside of a ball's front for a growing distance. The
-length is then averaged over the sideways uncertainty: its mean, its regression on the vector, and the scatter about
-that as noise (statistical linearisation: A. Gelb, "Applied Optimal Estimation", 1974, 6.2), over those places only that
-the beam hits, since it did.
-"""
+"""The laser in a dive: its readings as measurements of the target, its spot in a frame."""
 
 from __future__ import annotations
 
@@ -17,18 +9,13 @@ import numpy as np
 
 from leadline.config import Config
 from leadline.estimation import Estimate
+from leadline.localizer.blind import Aside
 from leadline.localizer.motion import Skew
 from leadline.ranging.beam import BeamRanger
 from leadline.recognition.spot import find_spot
 from leadline.rig import Rig, Side
 from leadline.samples import NS_PER_S, Array, LaserRange, Measurement, Rejected, StereoFrame
 from leadline.target import Target
-
-STRAIGHT = 0.3  # of a reading's sigma: a length that bends by less over one sigma sideways is linear enough
-NODES = np.stack(np.meshgrid(*[np.linspace(-2.5, 2.5, 9)] * 2), axis=-1).reshape(-1, 2)  # in sigmas
-WEIGHTS = np.exp(-0.5 * (NODES**2).sum(axis=1)) / np.exp(-0.5 * (NODES**2).sum(axis=1)).sum()
-LEAST_HIT = 0.05  # of the uncertain places: where fewer are hit, the reading is of something else
-STEEPEST = 3.0
 
 
 class LaserSight:
@@ -41,10 +28,22 @@ class LaserSight:
         self._readings: deque[LaserRange] = deque(maxlen=32)
         self.calibration_variance_m2 = self._beam.calibration_variance_m2
 
-    def take(self, sample: LaserRange, before: Estimate | None) -> Measurement:
-        """The reading as a measurement of the target where it is believed to be."""
+    def take(self, sample: LaserRange, unseen: Aside | None) -> Measurement:
+        """The reading as a measurement of the target; ``unseen``: where it may be that nobody sees."""
         measurement = self._beam.reading(sample)
-        return measurement if before is None else self._averaged(measurement, before)
+        if unseen is None or not unseen.is_hit:
+            return measurement
+        gain = self._laser.range_scale * self._laser.group_index
+
+        def predict(x: Array) -> tuple[Array, Array] | None:
+            length, gradient = unseen.length(x)
+            return (np.array([self._laser.raw_m(length)]), gain * gradient[None]) if np.isfinite(length) else None
+
+        return replace(measurement, predict=predict)
+
+    def aside(self, believed: Estimate) -> Aside:
+        """What a beam tells of a target that is not seen."""
+        return Aside(self._target, self._laser, believed)
 
     def keep(self, sample: LaserRange) -> None:
         self._readings.append(sample)
@@ -96,41 +95,3 @@ class LaserSight:
     def _lengths(self, x: Array) -> tuple[float, Array]:
         length, gradient = self._target.beam_length(x, self._laser.origin_m[None], self._laser.direction[None])
         return float(length[0]), gradient[0]
-
-    def _averaged(self, measurement: Measurement, before: Estimate) -> Measurement:
-        """The measurement, averaged over where beside the beam the target may be, if that matters."""
-        gain = self._laser.range_scale * self._laser.group_index
-        sides = np.linalg.svd(self._laser.direction[None])[2][1:]  # (2, 3) across the beam
-        values, vectors = np.linalg.eigh(sides @ before.cov[:3, :3] @ sides.T)
-        spread = (vectors * np.sqrt(np.maximum(values, 1e-12))).T @ sides  # (2, 3): one sigma each
-        here, _ = self._lengths(before.x)
-        off = [self._lengths(_moved(before.x, s * axis))[0] for axis in spread for s in (-1.0, 1.0)]
-        bend = sum(off) / 2 - 2 * here
-        if abs(gain * bend) < STRAIGHT * float(np.sqrt(measurement.cov[0, 0])):  # NaN: not straight
-            return measurement
-        found = [self._lengths(_moved(before.x, node @ spread)) for node in NODES]
-        length = np.array([value for value, _ in found])
-        hit = np.isfinite(length)
-        weight = WEIGHTS[hit]
-        if weight.sum() < LEAST_HIT:
-            return measurement
-        weight = weight / weight.sum()
-        terms = np.column_stack([np.ones(hit.sum()), NODES[hit]])
-        fit = np.linalg.solve((terms * weight[:, None]).T @ terms + 1e-9 * np.eye(3), terms.T @ (weight * length[hit]))
-        scatter = float(weight @ (length[hit] - terms @ fit) ** 2)
-        gradient = np.clip(weight @ np.array([g for _, g in found])[hit], -STEEPEST, STEEPEST)
-        direction = self._laser.direction
-        slope = np.concatenate([(gradient[:3] @ direction) * direction, gradient[3:]])
-        slope[:3] += np.linalg.pinv(spread) @ fit[1:]
-        x0 = before.x
-
-        def predict(x: Array) -> tuple[Array, Array]:
-            return np.array([self._laser.raw_m(float(fit[0] + slope @ (x - x0)))]), gain * slope[None]
-
-        return replace(measurement, cov=measurement.cov + gain**2 * scatter, predict=predict)
-
-
-def _moved(x: Array, by_m: Array) -> Array:
-    moved = x.copy()
-    moved[:3] += by_m
-    return moved

@@ -16,6 +16,7 @@ import numpy as np
 
 from leadline.config import Config
 from leadline.estimation import Estimate, Filter, FilterSettings
+from leadline.localizer.blind import held
 from leadline.localizer.laser import LaserSight
 from leadline.localizer.motion import as_of_target, skew_of, taken_ns
 from leadline.localizer.sight import VISION, Sight
@@ -68,6 +69,7 @@ class Localizer:
         self._laser = None if rig.laser is None else LaserSight(rig, self._target, self._config)
         self._sight = Sight(rig, self._target, self._config, self._laser)
         self._motion: VehicleMotion | None = None
+        self._last_seen: Estimate | None = None
         self._last_used: dict[Kind, int] = {}
         self._last_box: Box | None = None
         self.detections: list[Detection] = []  # of the last frame, for those who draw
@@ -85,7 +87,7 @@ class Localizer:
         if not self._filtered:
             self._forget()
         self._expire(frame.t_ns)
-        before = self._estimate(taken_ns(frame))
+        before = self._hold(self._estimate(taken_ns(frame)))
         self.detections = self._finder.find(frame)
         box = self._where(before)
         if box is None:
@@ -100,6 +102,8 @@ class Localizer:
             return self._solution(frame.t_ns, [], rejected)
         used, turned_away = self._filter.add(taken_ns(frame), measurements)
         self._last_box = box
+        if VISION & set(used):
+            self._last_seen = self._filter.at(taken_ns(frame))
         return self._solution(frame.t_ns, used, rejected + turned_away)
 
     def _take_reading(self, sample: LaserRange) -> Solution | None:
@@ -109,10 +113,11 @@ class Localizer:
         if not self._filtered:
             return None
         self._expire(sample.t_ns)
-        before = self._estimate(sample.t_ns)
+        before = self._hold(self._estimate(sample.t_ns))
         if before is None:
             return None
-        used, rejected = self._filter.add(sample.t_ns, [self._laser.take(sample, before)])
+        unseen = self._laser.aside(before) if self._blind(sample.t_ns) else None
+        used, rejected = self._filter.add(sample.t_ns, [self._laser.take(sample, unseen)])
         return self._solution(sample.t_ns, used, rejected)
 
     def _take_motion(self, sample: VehicleMotion) -> None:
@@ -124,10 +129,25 @@ class Localizer:
     def _estimate(self, t_ns: int) -> Estimate | None:
         return self._filter.at(t_ns) if self._filter.alive else None
 
+    def _hold(self, before: Estimate | None) -> Estimate | None:
+        """The estimate, its sideways sigma bounded while nothing is seen."""
+        if before is None or self._last_seen is None or not self._blind(before.t_ns):
+            return before
+        bound = held(before, self._last_seen, self._target, self._config.status)
+        if bound is None:
+            return before
+        self._filter.add(before.t_ns, [bound])
+        return self._filter.at(before.t_ns)
+
+    def _blind(self, t_ns: int) -> bool:
+        """Whether the target has not been seen for a while."""
+        last = self._last_seen
+        return last is not None and t_ns - last.t_ns > self._config.status.blind_after_s * NS_PER_S
+
     def _forget(self) -> None:
         self._filter.stop()
         self._last_used.clear()
-        self._last_box = None
+        self._last_box = self._last_seen = None
 
     def _expire(self, t_ns: int) -> None:
         """Give a target up that nothing was measured of for too long."""
@@ -196,6 +216,8 @@ class Localizer:
         along = bias_m**2 + float(sight @ calibration @ sight)
         if self._laser is not None and self._recent(BEAM, estimate.t_ns):  # two independent ways to the same distance
             along = 1 / (1 / along + 1 / (status.laser_bias_m**2 + self._laser.calibration_variance_m2))
+            if self._blind(estimate.t_ns):
+                along += self._laser.aside(estimate).variance_m2
         across = np.eye(3) - np.outer(sight, sight)
         common = np.zeros((len(estimate.x), len(estimate.x)))
         common[:3, :3] = across @ calibration @ across + along * np.outer(sight, sight)
