@@ -2,6 +2,7 @@
 
 from leadline.estimation.filter import Filter
 from leadline.estimation.settings import FilterSettings
+from leadline.estimation.smoother import Smoothed
 from leadline.estimation.state import Estimate
 
-__all__ = ["Estimate", "Filter", "FilterSettings"]
+__all__ = ["Estimate", "Filter", "FilterSettings", "Smoothed"]

@@ -16,22 +16,27 @@ from leadline.estimation.instant import take, take_motion
 from leadline.estimation.models import MotionModel
 from leadline.estimation.replay import Entry, History, Inputs
 from leadline.estimation.settings import FilterSettings
+from leadline.estimation.smoother import Smoothed, Track
 from leadline.estimation.state import Estimate, State
 from leadline.estimation.turns import Turns
 from leadline.samples import NS_PER_S, Array, Kind, Measurement, Rejected, VehicleMotion
 
 MOST_TURNED_AWAY = 30
-SUSPECT, SUSPECT_FOR_S = 0.25, 0.3  # share of the gate from which a position that was taken may be taken back; how late
+SUSPECT, SUSPECT_FOR_S = 0.25, 0.3  # a position that filled so much of the gate may be taken back, so much later
 
 
 class Filter:
-    """``start`` with a first idea of the target, then ``add`` measurements in any order within the horizon."""
+    """``start`` with a first idea of the target, then ``add`` measurements in any order within the horizon.
 
-    def __init__(self, settings: FilterSettings | None = None) -> None:
+    keep: remember all of it, for ``smoothed``.
+    """
+
+    def __init__(self, settings: FilterSettings | None = None, *, keep: bool = False) -> None:
         self._settings = settings = settings or FilterSettings()
         self._model = MotionModel(settings, np.empty(0))
         self._shape_walk: Array = np.empty(0)
-        self._history = History(settings.horizon_s)
+        self._history = History(settings.horizon_s, keep)
+        self._tracks: list[Track] = []  # those that ended, where all is kept
         self._turns = Turns(settings.horizon_s)
         self._turned_away: list[Measurement] = []
 
@@ -40,7 +45,9 @@ class Filter:
         return bool(self._history.entries)
 
     def stop(self) -> None:
-        self._history.entries.clear()
+        if self._history.keep:
+            self._tracks.append(Track(self._model, self._history.all()))
+        self._history = History(self._settings.horizon_s, self._history.keep)
         self._turned_away.clear()
 
     def start(self, t_ns: int, x: Array, cov: Array, shape_walk: Array | None = None) -> None:
@@ -52,9 +59,9 @@ class Filter:
             self._shape_walk = shape_walk
         elif len(self._shape_walk) != len(x) - 3:
             self._shape_walk = np.zeros(len(x) - 3)
+        self.stop()
         self._model = MotionModel(self._settings, self._shape_walk)
         self._history.begin(self._model.start(t_ns, x, cov))
-        self._turned_away.clear()
 
     def add(self, t_ns: int, measurements: Sequence[Measurement]) -> tuple[list[Kind], list[Rejected]]:
         """Take measurements of one instant; an earlier one is put in its place and the rest replayed."""
@@ -78,6 +85,10 @@ class Filter:
     def at(self, t_ns: int) -> Estimate:
         """The state at a time: from all that was measured until then (and not after)."""
         return self._predict(self._history.last(t_ns).after, t_ns).estimate()
+
+    def smoothed(self) -> Smoothed:
+        """What was at each time, given all that was measured; for a filter that keeps it."""
+        return Smoothed([*self._tracks, Track(self._model, self._history.all())])
 
     def _predict(self, state: State, t_ns: int) -> State:
         return self._model.predict(state, t_ns, *self._turns.mean(state.t_ns, t_ns))
@@ -129,6 +140,7 @@ class Filter:
         if first.t_ns < self._history.entries[0].t_ns:  # they were too late, as the clock was set back
             since = [(m.t_ns, (m,)) for m in others]
         before = self._history.entries[-1].after
+        self._history.end(first.t_ns)
         self.start(first.t_ns, first.z, first.cov)
         begin = self._history.entries[0].after
         if len(begin.y) == len(before.y):

@@ -86,9 +86,13 @@ class History:
         """The entries after a time."""
         return self.entries[self.place(t_ns) :]
 
-    def until(self, t_ns: int) -> list[Entry]:
-        """All there is up to a time."""
-        return self.kept + self.entries[: self.place(t_ns)]
+    def all(self) -> list[Entry]:
+        return self.kept + self.entries
+
+    def end(self, t_ns: int) -> None:
+        """Nothing from this time on is true."""
+        self.kept = [entry for entry in self.kept if entry.t_ns < t_ns]
+        self.entries = [entry for entry in self.entries if entry.t_ns < t_ns]
 
     def _forget(self) -> None:
         drop = self.place(self.entries[-1].t_ns - int(self.horizon_s * NS_PER_S)) - 1
