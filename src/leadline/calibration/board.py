@@ -7,6 +7,7 @@ small a window is noise, one that reaches the next square is wrong by pixels.
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,6 +29,9 @@ BLURRED_PX = 6.0
 """An edge that takes more pixels than this from dark to bright is called blurred."""
 _SLOW_WIDTH_PX = 1000  # the sector-based detector gets images no wider than this
 _UNMEASURED_PX = 1000.0  # OpenCV says 9999 where the squares are too small for it
+_FEWEST = 6  # corners of a ChArUco board seen in part
+_LEAST_CONTRAST = 0.5  # of the board's median
+_EDGE_SIGMAS = math.sqrt(2 * math.pi)  # contrast over slope of an edge blurred by a Gaussian
 _FLAGS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 
 
@@ -160,8 +164,8 @@ def _spacing_px(pixels: NDArray[np.float32], board: Board) -> float:
     return float(min(np.linalg.norm(np.diff(grid, axis=axis), axis=2).min() for axis in (0, 1)))
 
 
-def _refined(grey: Image, rough: NDArray[np.float32], spacing_px: float) -> Array:
-    window = int(np.clip(round(WINDOW_SHARE * spacing_px), *_WINDOW_PX))
+def _refined(grey: Image, rough: NDArray[np.float32], spacing_px: float, share: float = WINDOW_SHARE) -> Array:
+    window = int(np.clip(round(share * spacing_px), *_WINDOW_PX))
     stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
     margin = 2 * window + 8
     low = np.maximum(np.floor(rough.min(axis=0)).astype(int) - margin, 0)
@@ -207,7 +211,7 @@ def _edge_px(grey: Image, pixels: Array, board: Board) -> float:
 
 def _find_charuco(grey: Image, board: Board, charuco: Charuco) -> Corners | None:
     pixels, ids, _, _ = cv2.aruco.CharucoDetector(charuco_board(board, charuco)).detectBoard(grey)
-    if ids is None or len(ids) < 6:
+    if ids is None or len(ids) < _FEWEST:
         return None
     numbers, found = np.asarray(ids, np.int64).ravel(), np.asarray(pixels, np.float32).reshape(-1, 2)
     places = board.points_m[numbers] / board.square_m
@@ -215,7 +219,47 @@ def _find_charuco(grey: Image, board: Board, charuco: Charuco) -> Corners | None
         return None
     apart = np.linalg.norm(found[:, None] - found[None], axis=2) + np.diag(np.full(len(found), np.inf))
     spacing = float(apart.min())
-    return Corners(numbers, _refined(grey, found, spacing), spacing)
+    to_marker = (1 - charuco.marker_m / board.square_m) / 2  # of a square: what is beyond would pull the corner
+    refined = _refined(grey, found, spacing, min(to_marker, WINDOW_SHARE))
+    contrast = _contrast(grey, refined, to_marker * spacing)
+    kept = contrast > _LEAST_CONTRAST * np.median(contrast)
+    if kept.sum() < _FEWEST:
+        return None
+    edge = _charuco_edge_px(grey, numbers[kept], refined[kept], board, to_marker * spacing)
+    return Corners(numbers[kept], refined[kept], spacing, edge)
+
+
+def _contrast(grey: Image, pixels: Array, reach_px: float) -> Array:
+    """Brightest minus darkest around each corner (N,): nothing where glare has eaten it."""
+    reach = max(2, round(reach_px))
+    out = []
+    for x, y in np.rint(pixels).astype(int):
+        part = grey[max(0, y - reach) : y + reach + 1, max(0, x - reach) : x + reach + 1]
+        out.append(float(np.ptp(part)) if part.size else 0.0)
+    return np.array(out)
+
+
+def _charuco_edge_px(grey: Image, ids: NDArray[np.int64], pixels: Array, board: Board, reach_px: float) -> float:
+    """The width of the edges between neighbours along a row, contrast over steepest slope; NaN where there are none.
+
+    That is 2.5 standard deviations of a Gaussian blur, as is OpenCV's 10 to 90 % of a checkerboard.
+    """
+    place = {int(number): i for i, number in enumerate(ids)}
+    pairs = [(i, place[n + 1]) for n, i in place.items() if (n + 1) % board.columns and n + 1 in place]
+    if not pairs:
+        return float("nan")
+    start, end = (pixels[list(column)] for column in zip(*pairs, strict=True))
+    along = (end - start) / np.linalg.norm(end - start, axis=1)[:, None]
+    reach = max(reach_px, 3.0)
+    steps = np.arange(-reach, reach + 0.25, 0.5)
+    at = (start + end)[:, None] / 2 + steps[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=1)[:, None]
+    u, v = at.astype(np.float32).transpose(2, 0, 1)
+    profiles = np.asarray(cv2.remap(grey, u, v, cv2.INTER_LINEAR), np.float64)
+    slope = np.abs(np.diff(profiles, axis=1)).max(axis=1) / 0.5
+    width = seen = float(np.median(np.ptp(profiles, axis=1) / np.maximum(slope, 1e-9)))
+    for _ in range(5):  # between edge and marker the blurred white is not at its brightest
+        width = seen / math.erf(reach / 2 / (math.sqrt(2) * width / _EDGE_SIGMAS))
+    return width
 
 
 def charuco_board(board: Board, charuco: Charuco) -> cv2.aruco.CharucoBoard:
