@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 
-from leadline import cli_calibrate, cli_evaluate
+from leadline import cli_calibrate, cli_evaluate, cli_plan
 from leadline.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ app.add_typer(config_app, name="config")
 app.add_typer(cli_calibrate.app, name="calibrate")
 app.add_typer(cli_evaluate.app, name="evaluate")
 app.command("board")(cli_calibrate.board)
+app.command("plan")(cli_plan.plan)
 
 
 class MethodName(StrEnum):

@@ -1,0 +1,230 @@
+"""What a frame is expected to say of a target: the localizer's own measurements, before there is any picture.
+
+Patches, outline and spot are put where the rig would see them, with the noise that the stated conditions give them, and
+go through the localizer's own fits: their covariances are those that the localizer will state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leadline.config import BeamConfig, OutlineConfig, StereoConfig
+from leadline.estimation import Estimate
+from leadline.localizer.motion import Skew
+from leadline.localizer.sight import Found, Sight
+from leadline.ranging.beam import BeamRanger
+from leadline.ranging.coarse import Box
+from leadline.ranging.shape_fit import Points, fit
+from leadline.ranging.surface_fit import fit_surface
+from leadline.rig import Rig, Side
+from leadline.samples import Array, Kind, Measurement, StereoFrame
+from leadline.target import Cylinder, Plane, Sphere, Surface, Target
+
+SIDES: tuple[Side, Side] = ("left", "right")
+SURFACE_RADIUS_M = 0.2  # of the piece of an unknown surface that the box is taken to show
+MARGIN_PX = 4.0  # from the border of an image
+ROUND_INSET = 0.9  # of a round target's box
+EDGES = 60  # directions about a ball
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What the pictures will be like. The defaults are those of the simulator's clear pool, a ball grown over a little.
+
+    noise_grey: standard deviation of a pixel, grey levels of 255. texture_grey_px: RMS of the target's grey levels'
+    slope along a row, per pixel of the matched image, from close by; it falls by exp(-attenuation distance), which is
+    water and lens together. spot_px: of the spot's centre in one image. frames_hz, readings_hz, seconds: how long the
+    filter has seen the target.
+    """
+
+    noise_grey: float = 1.6
+    texture_grey_px: float = 2.4
+    attenuation_per_m: float = 0.2
+    spot_px: float = 0.07
+    frames_hz: float = 10.0
+    readings_hz: float = 3.0
+    seconds: float = 2.0
+
+    def match_sigma_px(self, distance_m: float, side_px: float, level: int) -> float:
+        """The noise limit of one patch's shift, full-size pixels: both images' noise over the patch's texture.
+
+        A texture looks alike at all scales, so that its slope per pixel of the shrunk image is the same; the noise is
+        averaged by shrinking: what remains of the level is nothing.
+        """
+        texture = self.texture_grey_px * float(np.exp(-self.attenuation_per_m * distance_m))
+        noise = self.noise_grey / 2**level
+        return float(np.sqrt(2) * noise / (texture * side_px) * 2**level)
+
+
+def vector_at(target: Target, nearest_m: Array) -> Array:
+    """The target's vector (3 + k,) when its nearest point is there; what is unknown of its shape is as expected."""
+    x = np.concatenate([nearest_m, target.shape_mean])
+    if isinstance(target, Sphere | Cylinder):
+        x[:3] *= 1 + target.radius_m(x) / float(np.linalg.norm(nearest_m))
+    return x
+
+
+def box_of(rig: Rig, target: Target, x: Array, side: Side = "left") -> Box | None:
+    """The target's box in an image, clipped to it; None where it is not in view. A wall or a pile is the whole view."""
+    camera = rig.left if side == "left" else rig.right
+    if isinstance(target, Plane | Cylinder):
+        return 0.0, 0.0, float(camera.width), float(camera.height)
+    q_px = rig.project(_outline_points(target, x))[SIDES.index(side)]
+    q_px = q_px[np.isfinite(q_px).all(axis=1)]
+    if not len(q_px):
+        return None
+    low = np.clip(q_px.min(axis=0), 0, [camera.width, camera.height])
+    high = np.clip(q_px.max(axis=0), 0, [camera.width, camera.height])
+    width, height = (float(v) for v in high - low)
+    return (float(low[0]), float(low[1]), width, height) if min(width, height) >= 2 else None
+
+
+def _outline_points(target: Target, x: Array) -> Array:
+    """Points (N, 3) on the visible rim of a ball, or of a piece of an unknown surface."""
+    return _rim(target, x, 90) if isinstance(target, Sphere) else x[:3] + SURFACE_RADIUS_M * _ring(x[:3], 90)
+
+
+def _rim(ball: Sphere, x: Array, count: int) -> Array:
+    """Points (N, 3) where rays from the origin graze the ball."""
+    radius = ball.radius_m(x)
+    sine = min(radius / float(np.linalg.norm(x[:3])), 0.999)
+    return np.asarray(x[:3] * (1 - sine**2) + radius * np.sqrt(1 - sine**2) * _ring(x[:3], count))
+
+
+def _ring(towards: Array, count: int) -> Array:
+    """Unit vectors (N, 3) all around a direction, across it."""
+    turn = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    return np.asarray(np.stack([np.cos(turn), np.sin(turn)], axis=1) @ np.linalg.svd(towards[None])[2][1:])
+
+
+def _expected(kind: Kind, z: Array, cov: Array) -> Measurement:
+    eye = np.eye(len(z))
+    return Measurement(kind, 0, z, cov, lambda x: (x, eye))
+
+
+def expected_stereo(
+    rig: Rig, target: Target, settings: StereoConfig, conditions: Conditions, x: Array
+) -> Measurement | None:
+    """The shape through the patches that both cameras see; None where there are too few, or too uncertain ones."""
+    points = expected_points(rig, target, settings, conditions, x)
+    if points is None:
+        return None
+    if isinstance(target, Surface):
+        beam = None if rig.laser is None else (rig.laser.origin_m, rig.laser.direction)
+        found = fit_surface(points, beam)
+    else:
+        found = fit(target, points, x, settings.roughness_m)
+    return None if found is None else _expected(Kind.STEREO, x, found.cov)
+
+
+def expected_points(
+    rig: Rig, target: Target, settings: StereoConfig, conditions: Conditions, x: Array
+) -> Points | None:
+    """Patches' middles on the target, exact, with the sigma that they will have."""
+    box = box_of(rig, target, x)
+    if box is None:
+        return None
+    level = max(0, int(np.round(np.log2(max(box[2], box[3]) / settings.target_px))))
+    half = int(np.clip(np.sqrt(box[2] * box[3]) / 2**level / 8, settings.min_half_px, settings.half_px))
+    inset = ROUND_INSET if isinstance(target, Sphere | Surface) else None
+    q_px, step_px = _grid(box, settings.patches, half * 2**level, inset)
+    reach_px = half * 2**level + MARGIN_PX
+    origins, directions = rig.rays(q_px, "left")
+    lengths, _ = target.beam_length(x, origins, directions)
+    points = origins + lengths[:, None] * directions
+    at_px, jacobian = rig.project_with_jacobian(points, "right")
+    size = np.array([rig.right.width, rig.right.height])
+    with np.errstate(invalid="ignore"):
+        seen = ((at_px > reach_px) & (at_px < size - reach_px)).all(axis=1) & np.isfinite(lengths)
+        seen &= ((q_px > reach_px) & (q_px < np.array([rig.left.width, rig.left.height]) - reach_px)).all(axis=1)
+    side_px = 2 * half + 1
+    sigma_px = conditions.match_sigma_px(float(np.linalg.norm(x[:3])), side_px, level)
+    sigma_px *= max(1.0, side_px * 2**level / step_px)  # patches that overlap share their noise
+    if seen.sum() < settings.min_agreed or sigma_px / 2**level > settings.max_sigma_px:
+        return None
+    px_per_m = np.linalg.norm(np.einsum("nij,nj->ni", jacobian[seen], directions[seen]), axis=1)
+    return Points(origins[seen], directions[seen], lengths[seen], sigma_px / px_per_m)
+
+
+def _grid(box: Box, patches: int, half_px: float, round_inset: float | None) -> tuple[Array, float]:
+    """About so many patch middles (N, 2) over the box, or over the ellipse in it, and the step between them, px."""
+    low, size = np.array(box[:2]), np.array(box[2:])
+    step = max(float(np.sqrt(np.prod(size) / patches)), half_px)
+    cells = np.maximum(np.round((size - half_px) / step), 1).astype(int)
+    across = [(np.arange(n) + 0.5) / n for n in cells]
+    part = np.stack(np.meshgrid(*across), axis=-1).reshape(-1, 2)
+    if round_inset is not None:
+        part = part[((2 * part - 1) ** 2).sum(axis=1) < round_inset**2]
+    return low + part * size, step
+
+
+def expected_size(rig: Rig, target: Target, settings: OutlineConfig, x: Array) -> Measurement | None:
+    """The ball through the rays that graze it; None where too little of its outline is in view."""
+    if not isinstance(target, Sphere):
+        return None
+    gradients, weights, m_per_px = [], [], []
+    for side in SIDES:
+        gradient, worth = _grazing(rig, target, settings, x, side)
+        gradients.append(gradient)
+        m_per_px.append(worth)
+        weights.append(1 / (settings.edge_sigma_px * worth) ** 2)
+    gradient, weight, worth = np.concatenate(gradients), np.concatenate(weights), np.concatenate(m_per_px)
+    if len(worth) < settings.min_edges:
+        return None
+    inverse = np.linalg.inv((gradient.T * weight) @ gradient)
+    common = inverse @ (gradient.T @ (weight * worth)) * settings.bias_sigma_px
+    return _expected(Kind.SIZE, x, inverse + np.outer(common, common))
+
+
+def _grazing(rig: Rig, target: Sphere, settings: OutlineConfig, x: Array, side: Side) -> tuple[Array, Array]:
+    """Of the edges that one image shows: how their miss depends on the ball (N, 3 + k), and metres a pixel (N,)."""
+    pupil = np.zeros(3) if side == "left" else rig.T_left_right.t_m
+    ball = np.concatenate([x[:3] - pupil, x[3:]])
+    rim = _rim(target, ball, EDGES)
+    outward = (rim - ball[:3]) / target.radius_m(x)
+    q_px, jacobian = rig.project_with_jacobian(rim + pupil, side)
+    worth = 1 / np.linalg.norm(np.einsum("nij,nj->ni", jacobian, outward), axis=1)
+    reach_px = max(min(settings.reach) * target.radius_m(x) / float(np.nanmedian(worth)), 5.0) + 3
+    camera = rig.left if side == "left" else rig.right
+    with np.errstate(invalid="ignore"):
+        seen = ((q_px > reach_px) & (q_px < np.array([camera.width, camera.height]) - reach_px)).all(axis=1)
+    return np.column_stack([-outward[seen], *[-np.ones(seen.sum())] * len(x[3:])]), worth[seen]
+
+
+def expected_spot(
+    rig: Rig, target: Target, ranger: BeamRanger, settings: BeamConfig, conditions: Conditions, x: Array
+) -> Measurement | None:
+    """The beam's length by its spot in those images that show it; None where none does, or the beam misses."""
+    assert rig.laser is not None
+    length = float(target.beam_length(x, rig.laser.origin_m[None], rig.laser.direction[None])[0][0])
+    if not np.isfinite(length):
+        return None
+    point = (rig.laser.origin_m + length * rig.laser.direction)[None]
+    cov = conditions.spot_px**2 * np.eye(2)
+    margin_px = 3 * settings.spot_radius_m * rig.focal_outside_px / length + MARGIN_PX
+    seen: dict[Side, tuple[Array, Array]] = {}
+    for side, q_px, camera in zip(SIDES, rig.project(point), (rig.left, rig.right), strict=True):
+        high = np.array([camera.width, camera.height]) - margin_px
+        if ((q_px > margin_px) & (q_px < high)).all():  # not so where NaN
+            seen[side] = (q_px[0], cov)
+    found = ranger.spot(0, seen) if seen else None
+    return found if isinstance(found, Measurement) else None
+
+
+class ExpectedSight(Sight):
+    """In the place of the localizer's eyes: the same expected measurements in every frame, each with fresh noise."""
+
+    def __init__(self, sight: Sight, seed: int) -> None:
+        vars(self).update(vars(sight))  # its tables take long to make
+        self.expected: list[Measurement] = []
+        self._rng = np.random.default_rng(seed)
+
+    def measure(self, frame: StereoFrame, box: Box, before: Estimate | None, skew: Skew) -> Found:
+        return [self._noisy(one, frame.t_ns, skew) for one in self.expected]
+
+    def _noisy(self, one: Measurement, t_ns: int, skew: Skew) -> Measurement:
+        z = one.z + np.linalg.cholesky(one.cov) @ self._rng.standard_normal(len(one.z))
+        drawn = Measurement(one.kind, t_ns, z, one.cov, one.predict)
+        return drawn if one.kind is Kind.SPOT else self._honest(drawn, skew)
