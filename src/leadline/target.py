@@ -16,13 +16,14 @@ the state is spare.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from leadline.samples import Array
+
+LEAST_RADIUS_M = 0.01
 
 
 class Target(Protocol):
@@ -46,12 +47,20 @@ class Target(Protocol):
         """(k,) how much the shape may change, per square root of a second: a ball never, another place of a lump."""
         ...
 
+    def possible(self, x: Array) -> bool:
+        """Whether there can be such a thing: its size is one."""
+        ...
+
     def range(self, x: Array) -> tuple[float, Array]:
         """Distance from the origin to the nearest point of the surface, and its gradient (3 + k,)."""
         ...
 
     def distance(self, x: Array, points_m: Array) -> tuple[Array, Array]:
         """Signed distance (N,) of points (N, 3) from the surface, positive outside, and its gradient (N, 3 + k)."""
+        ...
+
+    def normals(self, x: Array, points_m: Array) -> Array:
+        """Outward unit normals (N, 3) of the surface nearest to points (N, 3)."""
         ...
 
     def beam_length(self, x: Array, origins_m: Array, directions: Array) -> tuple[Array, Array]:
@@ -82,6 +91,9 @@ class Sphere:
     def radius_m(self, x: Array) -> float:
         return float(x[3]) if self.diameter_m is None else self.diameter_m / 2
 
+    def possible(self, x: Array) -> bool:
+        return self.radius_m(x) > LEAST_RADIUS_M
+
     @property
     def shape_walk(self) -> Array:
         return np.zeros(0 if self.diameter_m is not None else 1)
@@ -92,9 +104,13 @@ class Sphere:
 
     def distance(self, x: Array, points_m: Array) -> tuple[Array, Array]:
         outward = points_m - x[:3]
-        length = np.linalg.norm(outward, axis=1)
-        gradient = np.column_stack([-outward / length[:, None], *[-np.ones(len(length))] * (len(x) - 3)])
+        length = np.sqrt(np.einsum("ni,ni->n", outward, outward))
+        gradient = -np.ones((len(length), len(x)))
+        gradient[:, :3] = -outward / length[:, None]
         return length - self.radius_m(x), gradient
+
+    def normals(self, x: Array, points_m: Array) -> Array:
+        return _unit(points_m - x[:3])
 
     def beam_length(self, x: Array, origins_m: Array, directions: Array) -> tuple[Array, Array]:
         radius = self.radius_m(x)
@@ -125,6 +141,9 @@ class Plane:
     def shape_walk(self) -> Array:
         return np.empty(0)
 
+    def possible(self, x: Array) -> bool:
+        return True
+
     def range(self, x: Array) -> tuple[float, Array]:
         distance = float(np.linalg.norm(x))
         return distance, x / distance
@@ -134,6 +153,9 @@ class Plane:
         along = points_m @ x[:3] / length
         gradient = -points_m / length + (along / length**2)[:, None] * x[:3] + x[:3] / length
         return length - along, gradient
+
+    def normals(self, x: Array, points_m: Array) -> Array:
+        return np.broadcast_to(-x[:3] / np.linalg.norm(x[:3]), points_m.shape)
 
     def beam_length(self, x: Array, origins_m: Array, directions: Array) -> tuple[Array, Array]:
         return _beams_to_plane(x[:3], origins_m, directions)
@@ -169,13 +191,32 @@ class Cylinder:
     def radius_m(self, x: Array) -> float:
         return float(x[4]) if self.diameter_m is None else self.diameter_m / 2
 
+    def possible(self, x: Array) -> bool:
+        return self.radius_m(x) > LEAST_RADIUS_M
+
     def axis(self, x: Array) -> Array:
         """Unit direction of the axis (3,), perpendicular to the line to the position."""
-        sight = x[:3] / np.linalg.norm(x[:3])
-        down = np.array([0.0, 1.0, 0.0]) - sight[1] * sight
-        down /= np.linalg.norm(down)
-        axis: Array = np.cos(x[3]) * down + np.sin(x[3]) * np.cross(sight, down)
-        return axis
+        down, aside = self._across(x)
+        return np.asarray(np.cos(x[3]) * down + np.sin(x[3]) * aside)
+
+    def _across(self, x: Array) -> tuple[Array, Array]:
+        """Unit directions (3,), (3,) across the line to the position: down in the image, and the other one."""
+        sx, sy, sz = x[:3] / np.sqrt(x[:3] @ x[:3])
+        flat = np.sqrt(1 - sy**2)
+        return np.array([-sx * sy, flat**2, -sy * sz]) / flat, np.array([-sz, 0.0, sx]) / flat
+
+    def _axis_by(self, x: Array) -> Array:
+        """(3, 4) derivative of the axis by the position and the angle."""
+        down, aside = self._across(x)
+        length = np.sqrt(x[:3] @ x[:3])
+        sight, cosine, sine = x[:3] / length, np.cos(x[3]), np.sin(x[3])
+        axis_by = np.empty((3, 4))
+        axis_by[:, 3] = cosine * aside - sine * down
+        # As the line of sight moves, the axis tips to stay across it, and turns about it with the image's down.
+        axis = cosine * down + sine * aside
+        spin = -(sight[1] / down[1]) * aside / length
+        axis_by[:, :3] = -np.outer(sight, axis) / length + np.outer(axis_by[:, 3], spin)
+        return axis_by
 
     @property
     def shape_walk(self) -> Array:
@@ -187,18 +228,26 @@ class Cylinder:
         return distance - self.radius_m(x), gradient
 
     def distance(self, x: Array, points_m: Array) -> tuple[Array, Array]:
-        return self._distance(x, points_m), _gradient(lambda y: self._distance(y, points_m), x)
+        axis, axis_by = self.axis(x), self._axis_by(x)
+        to_point = points_m - x[:3]
+        along = to_point @ axis
+        outward = to_point - along[:, None] * axis
+        length = np.sqrt(np.einsum("ni,ni->n", outward, outward))
+        normal = outward / length[:, None]
+        gradient = -np.ones((len(length), len(x)))
+        gradient[:, :4] = -along[:, None] * (normal @ axis_by)
+        gradient[:, :3] -= normal
+        return length - self.radius_m(x), gradient
+
+    def normals(self, x: Array, points_m: Array) -> Array:
+        axis, to_point = self.axis(x), points_m - x[:3]
+        return _unit(to_point - np.outer(to_point @ axis, axis))
 
     def beam_length(self, x: Array, origins_m: Array, directions: Array) -> tuple[Array, Array]:
-        def length(y: Array) -> Array:
-            return self._length(y, origins_m, directions)
-
-        return length(x), _gradient(length, x)
-
-    def _distance(self, x: Array, points_m: Array) -> Array:
-        outward = points_m - x[:3]
-        outward = outward - np.outer(outward @ self.axis(x), self.axis(x))
-        return np.asarray(np.linalg.norm(outward, axis=1) - self.radius_m(x))
+        length = self._length(x, origins_m, directions)
+        ends = origins_m + length[:, None] * directions
+        cosine = np.einsum("ni,ni->n", self.normals(x, ends), directions)
+        return length, -self.distance(x, ends)[1] / cosine[:, None]  # the end stays on the surface
 
     def _length(self, x: Array, origins_m: Array, directions: Array) -> Array:
         axis = self.axis(x)
@@ -212,10 +261,8 @@ class Cylinder:
         return np.asarray((b - np.sqrt(np.where(hits, inside, np.nan))) / np.where(hits, a, 1.0))
 
 
-def _gradient(f: Callable[[Array], Array], x: Array, step: float = 1e-6) -> Array:
-    """Central differences of a function (N,) over x, as (N, len(x))."""
-    steps = step * np.eye(len(x))
-    return np.column_stack([(f(x + d) - f(x - d)) / (2 * step) for d in steps])
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.sqrt(np.einsum("ni,ni->n", vectors, vectors))[:, None])
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,6 +283,9 @@ class Surface:
     def shape_walk(self) -> Array:
         return np.array([0.05])
 
+    def possible(self, x: Array) -> bool:
+        return True
+
     def range(self, x: Array) -> tuple[float, Array]:
         distance = float(np.linalg.norm(x[:3]))
         return distance, np.concatenate([x[:3] / distance, [0.0]])
@@ -243,6 +293,9 @@ class Surface:
     def distance(self, x: Array, points_m: Array) -> tuple[Array, Array]:
         distance, gradient = Plane().distance(x, points_m)
         return distance, np.column_stack([gradient, np.zeros(len(distance))])
+
+    def normals(self, x: Array, points_m: Array) -> Array:
+        return Plane().normals(x, points_m)
 
     def beam_length(self, x: Array, origins_m: Array, directions: Array) -> tuple[Array, Array]:
         length, gradient = _beams_to_plane(x[:3], origins_m, directions)

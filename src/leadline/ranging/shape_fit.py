@@ -8,12 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leadline.samples import Array
-from leadline.target import Cylinder, Sphere, Target
+from leadline.target import Target
 
 Mask = NDArray[np.bool_]
 
 ITERATIONS = 30
+NEAR, SETTLED = 1e-3, 1e-5  # steps, as a part of the distance
 MIN_COSINE = 0.2  # near the limb a ray grazes the surface and its point says little
+CAUCHY = 3.0  # sigmas at which a point counts half
+OUTLIER = 4.0  # sigmas beyond which it does not count at all
+CUTS = 6
+MAX_CONDITION = 1e12
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,113 +48,103 @@ class Fit:
     misfit: float
 
 
-def first_guess(target: Target, points: Points) -> Array:
-    """A start for the iteration, from the points' median and their plane."""
-    p = points.p_m
-    centre = np.median(p, axis=0)
-    if isinstance(target, Sphere):
-        radius = np.append(target.shape_mean, target.diameter_m or 0)[0] / (2 if target.diameter_m else 1)
-        towards = centre / np.linalg.norm(centre)
-        return np.concatenate([centre + 0.8 * radius * towards, target.shape_mean])
-    if isinstance(target, Cylinder):
-        return _best_axis(target, points, centre)
-    return np.concatenate([_foot(p), target.shape_mean])
-
-
-def _foot(p_m: Array) -> Array:
-    """Foot of the perpendicular on the plane through points, robust to many wrong ones.
-
-    A plane is m.p = 1, so over the distance of p it is linear in 1/distance, whose slopes, the directions, are right
-    even where a match is wrong: least absolute deviations by reweighting cannot be levered.
-    """
-    nearness = 1 / np.linalg.norm(p_m, axis=1)
-    directions = p_m * nearness[:, None]
-    weight = np.ones(len(p_m))
-    for _ in range(20):
-        root = np.sqrt(weight)
-        m = np.linalg.lstsq(directions * root[:, None], nearness * root, rcond=None)[0]
-        weight = 1 / np.maximum(np.abs(nearness - directions @ m), 1e-3 * np.median(nearness))
-    return np.asarray(m / (m @ m))
-
-
-def _best_axis(target: Cylinder, points: Points, centre: Array) -> Array:
-    """A cylinder's cost has several valleys: try the axis all around and keep the best start."""
-    radius = target.radius_m(np.concatenate([np.zeros(3), target.shape_mean]))
-    position = centre * (1 + 0.8 * radius / np.linalg.norm(centre))
-    best, best_cost = np.empty(0), np.inf
-    for angle in np.linspace(-np.pi / 2, np.pi / 2, 8, endpoint=False):
-        x = np.concatenate([position, target.shape_mean])
-        x[3] = angle
-        x = _descend(target, points, x, np.ones(len(points.length_m)) * 0.02, 8)[0]
-        cost = float(np.median(np.abs(target.distance(x, points.p_m)[0])))
-        if cost < best_cost:
-            best, best_cost = x, cost
-    return best
-
-
 def fit(target: Target, points: Points, guess: Array | None = None, roughness_m: float = 0.0) -> Fit | None:
-    """The shape through the points, or None where they do not hold one.
+    """The shape through the points, near a guess or, without one, anywhere; None where they do not hold one.
 
-    Robust: the scale starts at the points' own spread and comes down to their sigmas, and points beyond 4 sigma are
-    left out at the end. A misfit above 1 widens the covariance.
+    Robust: the scale follows the points' own spread down to their sigmas, and points beyond 4 of it are left out at the
+    end. A misfit above 1 widens the covariance.
     """
     if len(points.length_m) < 3 + len(target.shape_mean):
         return None
-    x = first_guess(target, points) if guess is None else guess
-    spread = 1.4826 * float(np.median(np.abs(target.distance(x, points.p_m)[0])))
-    agreed = np.ones(len(points.length_m), bool)
-    for floor in (max(spread, 1e-3), max(spread / 3, 1e-3), 0.0):
-        sigma = np.hypot(_across(target, points, x), max(floor, roughness_m))
-        x, _, ok = _descend(target, points, x, sigma, ITERATIONS)
-        if not ok:
-            return None
-    sigma = np.hypot(_across(target, points, x), roughness_m)
-    for _ in range(3):
-        off = np.abs(target.distance(x, points.p_m)[0]) / sigma
-        agreed = off < 4 * max(1.0, 1.4826 * float(np.median(off)))
-        if agreed.sum() < 3 + len(target.shape_mean):
-            return None
-        x, information, ok = _descend(target, points.pick(agreed), x, sigma[agreed], ITERATIONS)
-        if not ok:
-            return None
-    residual = target.distance(x, points.p_m[agreed])[0] / sigma[agreed]
-    freedom = max(agreed.sum() - len(x), 1)
-    misfit = float(np.sqrt(residual @ residual / freedom))
-    few = 1 + 10 / freedom  # a misfit from few points is itself uncertain
-    return Fit(x, np.linalg.inv(information) * max(misfit, 1.0) ** 2 * few, np.asarray(agreed, bool), misfit)
+    if guess is not None:
+        x = descend(target, points, guess, roughness_m)
+        return None if x is None else trim(target, points, x, roughness_m)
+    from leadline.ranging.consensus import start  # noqa: PLC0415  it is built on this module
+
+    held = start(target, points)
+    if held is None:
+        return None
+    x, mine = held
+    found = trim(target, points.pick(mine), x, roughness_m)
+    if found is None:
+        return None
+    agreed = mine.copy()
+    agreed[mine] = found.agreed
+    return Fit(found.x, found.cov, agreed, found.misfit)
 
 
-def _across(target: Target, points: Points, x: Array) -> Array:
-    """Sigma (N,) across the surface of points whose error lies along their rays."""
-    gradient = target.distance(x, points.p_m)[1][:, :3]
-    norm = np.linalg.norm(gradient, axis=1)
-    cosine = np.abs(np.einsum("ni,ni->n", gradient, points.directions)) / np.where(norm > 0, norm, 1)
-    return np.asarray(points.sigma_m * np.maximum(cosine, MIN_COSINE))
-
-
-def _descend(target: Target, points: Points, x: Array, sigma: Array, steps: int) -> tuple[Array, Array, bool]:
-    """Gauss-Newton with Cauchy weights, and a weak prior on the estimated shape."""
-    k = len(target.shape_mean)
-    prior = np.concatenate([np.zeros(3), 1 / target.shape_sigma**2]) if k else np.zeros(3)
-    p = points.p_m
-    information = np.eye(len(x))
-    for _ in range(steps):
+def trim(target: Target, points: Points, x: Array, roughness_m: float = 0.0) -> Fit | None:
+    """The shape from close by, by the points that agree with it; which they are is settled with it."""
+    p, sigma = points.p_m, across(target, points, x, roughness_m)
+    agreed = np.ones(len(sigma), bool)
+    for _ in range(CUTS):
         distance, gradient = target.distance(x, p)
         u = distance / sigma
-        weight = 1 / (sigma**2 * (1 + (u / 3) ** 2))
-        information = (gradient * weight[:, None]).T @ gradient + np.diag(prior)
-        pull = gradient.T @ (weight * distance)
-        if k:
-            pull[3:] += prior[3:] * (x[3:] - target.shape_mean)
-        try:
-            step = -np.linalg.solve(information, pull)
-        except np.linalg.LinAlgError:
-            return x, information, False
-        limit = 0.3 * np.linalg.norm(x[:3])
-        step *= min(1.0, limit / (np.linalg.norm(step[:3]) + 1e-12))
+        before, agreed = agreed, np.abs(u) < OUTLIER * _scale(u[agreed])
+        if np.count_nonzero(agreed) < len(x):
+            return None
+        step, information = _step(target, x, distance[agreed], gradient[agreed], sigma[agreed], 1.0)
+        if step is None:
+            return None
         x = x + step
-        if not np.isfinite(x).all() or x[2] <= 0 or (isinstance(target, Sphere) and target.radius_m(x) <= 0.01):
-            return x, information, False
-        if np.linalg.norm(step) < 1e-7:
+        if (agreed == before).all() and np.abs(step[:3]).max() < SETTLED * x[2]:
             break
-    return x, information, bool(np.linalg.cond(information) < 1e12)
+    if not target.possible(x) or np.linalg.cond(information) > MAX_CONDITION:
+        return None
+    residual = np.asarray(target.distance(x, p[agreed])[0] / sigma[agreed])
+    freedom = max(len(residual) - len(x), 1)
+    misfit = float(np.sqrt(residual @ residual / freedom))
+    few = 1 + 10 / freedom  # a misfit from few points is itself uncertain
+    mixed = (len(agreed) / len(residual)) ** 2  # among many that are wrong, some agree by chance
+    return Fit(x, np.asarray(np.linalg.inv(information) * max(misfit, 1.0) ** 2 * few * mixed), agreed, misfit)
+
+
+def across(target: Target, points: Points, x: Array, roughness_m: float) -> Array:
+    """Sigma (N,) across the surface of points whose error lies along their rays."""
+    cosine = np.abs(np.einsum("ni,ni->n", target.normals(x, points.p_m), points.directions))
+    return np.asarray(np.hypot(points.sigma_m * np.maximum(cosine, MIN_COSINE), roughness_m))
+
+
+def descend(
+    target: Target, points: Points, x: Array, roughness_m: float = 0.0, iterations: int = ITERATIONS
+) -> Array | None:
+    """Gauss-Newton with Cauchy weights of the points' own scale; None where it leads nowhere."""
+    p, sigma = points.p_m, across(target, points, x, roughness_m)
+    for iteration in range(iterations):
+        if iteration == 2:  # from a start that was far off, the surface has turned by now
+            sigma = across(target, points, x, roughness_m)
+        distance, gradient = target.distance(x, p)
+        step, _ = _step(target, x, distance, gradient, sigma, _scale(distance / sigma))
+        if step is None:
+            return None
+        far = 0.3 * float(np.sqrt(x[:3] @ x[:3]))
+        size = float(np.sqrt(step[:3] @ step[:3]))
+        x = x + step * min(1.0, far / (size + 1e-12))
+        if not (np.isfinite(x).all() and x[2] > 0):
+            return None
+        if size < NEAR * x[2]:  # the rest of the way is with those that agree
+            break
+    return x if target.possible(x) else None
+
+
+def _scale(u: Array) -> float:
+    """Of residuals over their sigmas, from their median: 1 where they are no larger than stated."""
+    half = len(u) // 2
+    return max(1.0, 1.4826 * float(np.partition(np.abs(u), half)[half]))
+
+
+def _step(
+    target: Target, x: Array, distance: Array, gradient: Array, sigma: Array, scale: float
+) -> tuple[Array | None, Array]:
+    """One step (None where the points do not fix the shape), and the information; a weak prior on what is estimated."""
+    u = distance / (scale * CAUCHY * sigma)
+    weighted = gradient.T / (sigma**2 * (1 + u**2))
+    information, pull = weighted @ gradient, weighted @ distance
+    if len(x) > 3:
+        prior = 1 / target.shape_sigma**2
+        information[range(3, len(x)), range(3, len(x))] += prior
+        pull[3:] += prior * (x[3:] - target.shape_mean)
+    try:
+        return np.asarray(-np.linalg.solve(information, pull)), information
+    except np.linalg.LinAlgError:
+        return None, information
