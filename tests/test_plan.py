@@ -121,8 +121,8 @@ def test_an_expected_calibration_is_that_of_thousand_simulated_ones() -> None:
     assert sigma["port.distance_m"] == pytest.approx(0.22e-3, rel=0.25)
     assert sigma["water.index"] == pytest.approx(1.7e-4, rel=0.25)
     here = np.array([0.0, 0.0, 2.2])
-    few, many = (position_cov(with_expected_calibration(DRAWN.rig(), n), here)[2, 2] for n in (12, 36))
-    assert np.sqrt(few / many) == pytest.approx(np.sqrt(3), rel=0.15)
+    few, many = (position_cov(with_expected_calibration(DRAWN.rig(), n), here)[2, 2] for n in (20, 60))
+    assert 1.4 < np.sqrt(few / many) < 2.2  # the root of three, and where the boards happen to lie
     assert not with_expected_calibration(rig, 0).covariance.names
 
 
