@@ -123,6 +123,10 @@ def run(
         str | None, typer.Option(help="salinity=PSU,temperature=C,depth=M; default: the rig's water.")
     ] = None,
     no_filter: Annotated[bool, typer.Option("--no-filter", help="Take every frame alone.")] = False,
+    smooth: Annotated[
+        bool,
+        typer.Option("--smooth", help="Also write smoothed.csv: each solution from all that came before and after."),
+    ] = False,
     record: Annotated[bool, typer.Option("--record", help="Also write dive.mcap.")] = False,
     headless: Annotated[bool, typer.Option("--headless", help="Never open a window or a browser.")] = False,
     real_time: Annotated[bool, typer.Option("--real-time", help="At the dive's own pace.")] = False,
@@ -143,6 +147,7 @@ def run(
         config=_config(config),
         water_state=water_state,
         filtered=not no_filter,
+        smoothed=smooth,
         real_time=real_time,
         seed=seed,
     )

@@ -14,7 +14,7 @@ import numpy as np
 
 from leadline.estimation.instant import take, take_motion
 from leadline.estimation.models import MotionModel
-from leadline.estimation.replay import Entry, History, Inputs
+from leadline.estimation.replay import Entry, History, Inputs, Taken
 from leadline.estimation.settings import FilterSettings
 from leadline.estimation.smoother import Smoothed, Track
 from leadline.estimation.state import Estimate, State
@@ -22,7 +22,7 @@ from leadline.estimation.turns import Turns
 from leadline.samples import NS_PER_S, Array, Kind, Measurement, Rejected, VehicleMotion
 
 MOST_TURNED_AWAY = 30
-SUSPECT, SUSPECT_FOR_S = 0.25, 0.3  # a position that filled so much of the gate may be taken back, so much later
+SUSPECT_FOR_S, UNSURPRISING = 0.3, 0.25  # a position may be taken back so much later, if the new one then fits well
 
 
 class Filter:
@@ -103,17 +103,18 @@ class Filter:
         """Whether a position was turned away for a wrong one taken shortly before: without that, all is well again."""
         at = self._history.place(entry.t_ns) - 1
         oldest_ns = entry.t_ns - int(SUSPECT_FOR_S * NS_PER_S)
-        suspects = [i for i, e in enumerate(self._history.entries[:at]) if i and e.t_ns >= oldest_ns]
-        if not suspects:
+        recent = [i for i in range(1, at) if self._taken(i).position and self._history.entries[i].t_ns >= oldest_ns]
+        if not recent:
             return False
-        suspect = max(suspects, key=lambda i: self._history.entries[i].taken.surprise)
-        if self._history.entries[suspect].taken.surprise < SUSPECT:
-            return False
-        entries = self._history.without(suspect, self._apply)
-        if not entries[at - 1].taken.position:
-            return False
-        self._history.entries = entries
-        return True
+        for suspect in {max(recent, key=lambda i: self._taken(i).surprise), recent[-1]}:
+            entries = self._history.without(suspect, self._apply)
+            if entries[at - 1].taken.position and entries[at - 1].taken.surprise < UNSURPRISING:
+                self._history.entries = entries
+                return True
+        return False
+
+    def _taken(self, at: int) -> Taken:
+        return self._history.entries[at].taken
 
     def _lost_lock(self, newest: Measurement) -> list[Measurement]:
         """The positions that were turned away, agree with the newest, and went on for long enough; else none.

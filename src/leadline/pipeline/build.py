@@ -8,7 +8,7 @@ from typing import Literal, Protocol
 
 from leadline.config import Config
 from leadline.errors import InputError
-from leadline.localizer import Localizer
+from leadline.localizer import Localizer, SmoothingLocalizer
 from leadline.paper import PaperLocalizer
 from leadline.recognition.boxes import Boxes
 from leadline.recognition.finder import Finder
@@ -54,12 +54,15 @@ def build_job(
     config: Config | None = None,
     water_state: str | None = None,
     filtered: bool = True,
+    smoothed: bool = False,
     real_time: bool = False,
     seed: int = 0,
 ) -> Job:
     """Open and check everything that a run needs before it writes its first file. InputError says what is wrong."""
     if model is not None and boxes is not None:
         raise InputError("--model and --boxes are two answers to one question", fix="give one of them")
+    if smoothed and (not filtered or methods[0] == "paper"):
+        raise InputError("--smooth smooths our filter", fix="leave --no-filter and --method paper out")
     config = config or Config()
     source = open_source(spec, seed=seed, real_time=real_time)
     rig = _rig(source, rig_file, water_state)
@@ -71,7 +74,7 @@ def build_job(
         rig=rig,
         target=shape,
         config=config,
-        methods={name: _localizer(name, rig, shape, finder, config, filtered) for name in methods},
+        methods={name: _localizer(name, rig, shape, finder, config, filtered, smoothed) for name in methods},
         seed=seed,
         filtered=filtered,
     )
@@ -141,8 +144,10 @@ def _finder(target: Target, model: Path | None, boxes: Path | None, config: Conf
 
 
 def _localizer(
-    method: Method, rig: Rig, target: Target, finder: Finder | None, config: Config, filtered: bool
+    method: Method, rig: Rig, target: Target, finder: Finder | None, config: Config, filtered: bool, smoothed: bool
 ) -> Steps:
     if method == "paper":
         return PaperLocalizer(rig, target, finder, config)
+    if smoothed:
+        return SmoothingLocalizer(rig, target, finder, config)
     return Localizer(rig, target, finder, config, filtered=filtered)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from leadline.errors import InputError
 
-SOLUTIONS, CONFIG, RIG, SUMMARY, PICTURE, RECORDING = (
-    "solutions.csv", "config.yaml", "rig.yaml", "summary.json", "run.png", "dive.mcap"
+SOLUTIONS, CONFIG, RIG, SUMMARY, PICTURE, RECORDING, SMOOTHED = (
+    "solutions.csv", "config.yaml", "rig.yaml", "summary.json", "run.png", "dive.mcap", "smoothed.csv"
 )  # fmt: skip
 
 
@@ -16,7 +16,7 @@ def solutions_name(method: str) -> str:
     return f"solutions_{method}.csv"
 
 
-OURS = (SOLUTIONS, solutions_name("paper"), CONFIG, RIG, SUMMARY, PICTURE)
+OURS = (SOLUTIONS, SMOOTHED, solutions_name("paper"), CONFIG, RIG, SUMMARY, PICTURE)
 
 
 def check_folder(out: Path, source: str) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from leadline.errors import InputError
 from leadline.evaluation.accuracy import Errors, compare
 from leadline.evaluation.summary import accuracy, pixel_cost_m, rates, step_times_ms, summarise, versions
+from leadline.localizer import SmoothingLocalizer
 from leadline.pipeline import folder
 from leadline.pipeline.build import Job, Steps
 from leadline.rig import Rig
@@ -84,6 +85,9 @@ def run(job: Job, out: Path, *, record: bool = False, progress: Progress = lambd
     wall_s = time.perf_counter() - start_s
     errors = {track.name: compare(track.solutions, job.source.truth, job.target) for track in tracks}
     summary = _summary(job, tracks, passed, errors, wall_s)
+    if isinstance(tracks[0].localizer, SmoothingLocalizer):
+        smoothed = _write_smoothed(tracks[0].localizer, out / folder.SMOOTHED)
+        summary["smoothed"] = {"accuracy": accuracy(compare(smoothed, job.source.truth, job.target))}
     (out / folder.SUMMARY).write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
     _plot(job, tracks, passed, errors, out / folder.PICTURE)
     written = [out / name for name in (*folder.OURS, *([folder.RECORDING] if record else ()))]
@@ -119,6 +123,15 @@ def _drive(job: Job, tracks: list[Track], progress: Progress) -> Passed:
     except KeyboardInterrupt:
         passed.interrupted = True
     return passed
+
+
+def _write_smoothed(localizer: SmoothingLocalizer, path: Path) -> list[Solution]:
+    smoothed = localizer.smoothed()
+    table = SolutionsCsv(path)
+    for solution in smoothed:
+        table.solution(solution)
+    table.close()
+    return smoothed
 
 
 def _note_reading(passed: Passed, rig: Rig, reading: LaserRange) -> None:
