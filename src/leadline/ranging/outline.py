@@ -27,7 +27,8 @@ LATERAL = 3  # normals that are averaged to one edge
 BLUR_RADII, LEAST_BLUR_PX, BLUR_PER_STEP = 1 / 150, 1.0, 0.5  # the scale of the edge filter
 SETTLED_M = 1e-5
 LEAST_EDGES = 4
-LEAST_REACH_PX = 5.0
+LEAST_REACH_PX = 6.0
+STRONG = 6.0  # an edge over the noise: the steepest of 20 places of mere noise seldom is
 RINGS = np.array([-0.25, -0.18, -0.1, 0.1, 0.18, 0.26])  # radii from the outline, where the two colours are read
 SETTLED = 0.3  # of the reach: a ball that moved by less was looked for in the right place
 PASSES = 3
@@ -87,9 +88,11 @@ class OutlineRanger:
             found = self._fit(self._edges(pair, sides, ball, reach), ball)
             if isinstance(found, str):
                 return found
-            moved_m = np.abs(found[0] - ball) * [1, 1, self._target.radius_m(ball) / ball[2], *[1] * (len(ball) - 3)]
-            ball = found[0]
-            if moved_m.max() < SETTLED * reach * self._target.radius_m(ball):
+            moved_m = np.abs(found[0] - ball)
+            radius, ball = self._target.radius_m(ball), found[0]
+            moved_m[2] *= radius / ball[2]  # as far as it changes the outline
+            least = LEAST_REACH_PX * ball[2] / pair.rig.focal_outside_px
+            if moved_m.max() < SETTLED * max(reach * radius, least):
                 return found
         return "outline does not settle"
 
@@ -219,6 +222,7 @@ def _strongest(profile: Float32, t_px: Array) -> Array:
     curvature = low - 2 * mid + high
     with np.errstate(invalid="ignore", divide="ignore"):
         shift = np.where(curvature < 0, 0.5 * (low - high) / curvature, np.nan)
-    strong = mid > 3 * np.partition(np.abs(slope), len(t_px) // 2, axis=1)[:, len(t_px) // 2]
+    quarter = len(t_px) // 4  # the flattest quarter of a profile is noise, however wide its edge
+    strong = mid > STRONG * np.partition(np.abs(slope), quarter, axis=1)[:, quarter]
     at_end = (best < 3) | (best > len(t_px) - 4)
     return np.asarray(np.where(strong & ~at_end, t_px[best] + shift * (t_px[1] - t_px[0]), np.nan))
