@@ -12,10 +12,13 @@ import pytest
 from calibration_scenes import BOARD, SIZE, board_views, random_rig
 from leadline.calibration.board import Board, find_corners
 from leadline.calibration.cameras import CameraCalibration, calibrate_cameras
+from leadline.calibration.checks import check_sides
 from leadline.calibration.heldout import check_rig
 from leadline.calibration.verdict import Verdict, best_images, cross_check, verdict
 from leadline.calibration.views import BoardView
+from leadline.cli import main
 from leadline.errors import InputError
+from leadline.geometry import Pose
 from leadline.pipeline.calibrate_cameras import find_boards
 from leadline.rig import Rig
 from leadline.rig_derivatives import Medium
@@ -241,3 +244,29 @@ def test_boards_are_found_in_side_by_side_images(tmp_path: Path) -> None:
     assert found.views[0].left is not None
     assert found.views[0].right is not None
     np.testing.assert_array_equal(found.views[0].left.pixels, found.views[0].right.pixels)
+
+
+@pytest.mark.parametrize(
+    ("t_m", "told"),
+    [
+        ((0.0, -0.08, 0.0), None),  # one above the other: the images do not say which is "left"
+        ((0.01, 0.08, 0.0), None),
+        ((0.08, 0.01, 0.0), "swap the left and right images"),
+        ((-63.0, 0.0, 0.0), "--square (metres)"),
+        ((-0.001, 0.0, 0.0), "--square (metres)"),
+    ],
+)
+def test_where_the_right_camera_may_stand(t_m: tuple[float, float, float], told: str | None) -> None:
+    pose = Pose(np.eye(3), t_m)
+    if told is None:
+        check_sides(pose)
+        return
+    with pytest.raises(InputError) as error:
+        check_sides(pose)
+    assert told in one_line(error)
+
+
+def test_a_square_in_millimetres(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    call = ["calibrate", "cameras", "--air", str(tmp_path), "--board", "11x8", "--square", "30"]
+    assert main([*call, "--out", str(tmp_path / "rig.yaml")]) == 2
+    assert "give metres: 0.03" in capsys.readouterr().err

@@ -9,9 +9,9 @@ import pytest
 
 from laser_scenes import WATER_Z_M, air_rig, spot_points, stations, truth_rig
 from leadline.calibration.beam_model import by_length, by_names, expected
+from leadline.calibration.group_index import GROUP
 from leadline.calibration.laser import LASER
 from leadline.calibration.matches import misses_by_names, misses_px
-from leadline.calibration.range import GROUP
 from leadline.calibration.refine import PortGuess, refine_stations, with_guessed_port
 from leadline.calibration.views import LAYER_NAMES, PORT_NAMES, POSE_NAMES, lens_names
 from leadline.rig import Rig

@@ -213,3 +213,12 @@ def without_spot(sample):  # type: ignore[no-untyped-def]
         image[v - reach : v + reach, u - reach : u + reach] = patch.mean(axis=(0, 1))
         sides[side] = image
     return dataclasses.replace(sample, **sides)
+
+
+def test_a_laser_from_air_does_not_know_the_waters_group_index_better_than_the_water_is_known() -> None:
+    """A rig with 0.001 of doubt about its index: 1.1e-3 / 1.36 of every length in water."""
+    rig = dataclasses.replace(
+        truth_rig(), laser=None, covariance=RigCovariance(("water.index",), np.array([[0.001**2]]))
+    )
+    found = calibrate_laser(painted_dive(air_rig(), AIR_Z_M[:4]), rig).rig
+    assert np.sqrt(found.covariance.of(("water.group_index",))[0, 0]) == pytest.approx(0.00114, rel=0.02)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 from pathlib import Path
 
 import cv2
@@ -18,6 +19,7 @@ from leadline.calibration.laser_board import BoardReading, calibrate_laser_board
 from leadline.calibration.views import BoardView
 from leadline.errors import InputError
 from leadline.geometry import Pose
+from leadline.rig_covariance import RigCovariance
 from leadline.rig_derivatives import Medium
 from leadline.rig_parameters import get, replaced
 
@@ -67,6 +69,25 @@ def test_the_beam_is_found_and_its_covariance_is_honest() -> None:
         values.append(np.mean(error**2 / variances))
         assert np.degrees(np.arccos(min(1.0, found.direction @ truth.direction))) < 1.0
     assert 0.65 < np.mean(values) < 1.5
+
+
+def test_the_cameras_uncertainty_goes_into_the_beams() -> None:
+    """The correlation says what the fit does with a camera that is one sigma off."""
+    taken, camera = readings(np.random.default_rng(4)), air_rig().left
+    names, sigmas = ("left.fx_px", "left.fy_px", "left.cx_px"), np.array([4.0, 4.0, 3.0])
+    known = RigCovariance(names, np.diag(sigmas**2))
+    exact = calibrate_laser_board(taken, BOARD, camera)
+    fit = calibrate_laser_board(taken, BOARD, camera, known)
+    joint = with_laser(dataclasses.replace(air_rig(), covariance=known), fit).covariance
+    added = np.zeros((8, 8))
+    for name, sigma, field in zip(names, sigmas, ("fx", "fy", "cx"), strict=True):
+        off = dataclasses.replace(camera, **{field: getattr(camera, field) + sigma})
+        moved = calibrate_laser_board(taken, BOARD, off)
+        step = get(with_laser(air_rig(), moved), LASER) - get(with_laser(air_rig(), exact), LASER)
+        told = joint.of((*LASER, name))[:8, 8] / sigma
+        np.testing.assert_allclose(told, step, atol=0.02 * np.abs(step).max())
+        added += np.outer(step, step)
+    np.testing.assert_allclose(joint.of(LASER) - exact.covariance.of(LASER), added, atol=0.05 * np.abs(added).max())
 
 
 def test_readings_below_the_true_minimum_are_found_and_not_averaged_in() -> None:

@@ -74,6 +74,8 @@ def test_air_then_water_in_one_file(dives: Path, tmp_path: Path, capsys: pytest.
         page = (tmp_path / f"rig-{step}.html").read_text()
         assert "laser.range_scale" in page
         assert "left_02.png" in page
+        assert page.count("<svg") == (3 if step == "laser" else 4)  # readings, two images of spots, f'
+    assert "water.group_index" in found.covariance.names
 
 
 def test_refine_gives_an_air_rig_a_port(dives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

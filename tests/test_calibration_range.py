@@ -12,8 +12,9 @@ import pytest
 from laser_scenes import AIR_Z_M, WATER_Z_M, air_rig, lit_points_nees, painted_dive, stations, truth_rig
 from leadline.calibration import laser as laser_module
 from leadline.calibration.beam_fit import BeamFit, fit_beam
+from leadline.calibration.group_index import GROUP, INDEX, with_group_index
 from leadline.calibration.laser import LASER, calibrate_laser
-from leadline.calibration.range import GROUP, INDEX, calibrate_range, range_prior, with_group_index
+from leadline.calibration.range import calibrate_range, range_prior
 from leadline.calibration.virtual_focal import virtual_focal
 from leadline.errors import InputError
 from leadline.paper.pinhole_pair import PinholePair

@@ -25,6 +25,14 @@ class RigCovariance:
             out[np.ix_(here, here)] = self.matrix[np.ix_(there, there)]
         return out
 
+    def root(self, names: tuple[str, ...]) -> Array:
+        """A (k, k) with A A^T = ``of(names)``, which may be singular; an independent part a column."""
+        cov = self.of(names)
+        sigma = np.sqrt(np.diag(cov))
+        unit = np.where(sigma > 0, sigma, 1.0)  # by the correlations: the units differ
+        values, vectors = np.linalg.eigh(cov / np.outer(unit, unit))
+        return np.asarray(unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+
     def scaled(self, factor: float) -> RigCovariance:
         """The same for images resized by ``factor``: what is in pixels scales."""
         scale = np.array([factor if name.endswith("_px") else 1.0 for name in self.names])

@@ -47,6 +47,7 @@ class BeamFit:
     left_out: tuple[tuple[str, str], ...]
     pixel_residuals_px: Array  # (N, 4): left u, v, right u, v
     range_residuals_m: Array  # (N,)
+    range_sigmas_m: Array  # (N,), of the mean readings, as the residuals showed them
     lengths_m: Array  # (N,)
     chi2: float
     dof: int
@@ -90,7 +91,7 @@ def fit_beam(rig: Rig, stations: Sequence[Station], free: tuple[str, ...], prior
     chi2, dof = problem.chi2(x, lengths)
     pixels, ranges = problem.residuals(x, lengths)
     result = problem.result(x, lengths)
-    return BeamFit(result, tuple(used), tuple(left_out), pixels, ranges, lengths, chi2, dof)
+    return BeamFit(result, tuple(used), tuple(left_out), pixels, ranges, problem.range_sigmas_m, lengths, chi2, dof)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +125,11 @@ class _Problem:
         correlation = within / np.outer(scale, scale) + _JITTER * np.eye(len(scale))
         self._whiten = np.linalg.inv(np.linalg.cholesky(correlation))
         self._count = len(scale)
+
+    @property
+    def range_sigmas_m(self) -> Array:
+        """Of the stations' mean readings (N,)."""
+        return self._sigma[:, 4]
 
     def solve(self, x: Array | None = None, lengths_m: Array | None = None) -> tuple[Array, Array]:
         """Free parameters (k,) in their own coordinates, and lengths (N,), m; from where they are known roughly."""

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from leadline.calibration.beam_fit import DIRECTION, ORIGIN, BeamFit, fit_beam
+from leadline.calibration.group_index import with_group_index
 from leadline.calibration.spots import Sighting, Station, sightings, spot_stations
 from leadline.errors import InputError
 from leadline.geometry import Beam
@@ -43,7 +44,8 @@ def calibrate_laser(
     found = sightings(samples)
     stations = find_stations(found, there, medium)
     start = _first_beam(there, stations, rig.laser)
-    fit = _paper_fit(start, stations) if method == "paper" else _ml_fit(start, stations, rig.covariance)
+    known = rig.covariance if rig.water is None else with_group_index(rig.covariance)
+    fit = _paper_fit(start, stations) if method == "paper" else _ml_fit(start, stations, known)
     unseen = tuple((f.name, "no spot of the beam in both images") for f in found if not _used(f, stations))
     return dataclasses.replace(fit, rig=_brought_home(fit.rig, rig), left_out=unseen + fit.left_out)
 
@@ -198,4 +200,5 @@ def _paper_fit(rig: Rig, stations: Sequence[Station]) -> BeamFit:
     found = dataclasses.replace(rig, laser=laser, covariance=RigCovariance(LASER[:6], (cov + cov.T) / 2))
     left, right = found.project(points(fit.x))
     seen = np.array([[*s.left.q_px, *s.right.q_px] for s in stations]) - np.hstack([left, right])
-    return BeamFit(found, tuple(stations), (), seen, np.zeros(len(stations)), lengths, float(pixels @ pixels), dof)
+    none = np.zeros(len(stations))  # readings are taken as lengths
+    return BeamFit(found, tuple(stations), (), seen, none, none, lengths, float(pixels @ pixels), dof)

@@ -17,12 +17,14 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from leadline.calibration.board import Board, Corners
+from leadline.calibration.group_index import with_group_index
 from leadline.calibration.laser import ALONG_SIGMA_M, LASER, SCALE_SIGMA
 from leadline.calibration.start import board_pose
 from leadline.errors import InputError
-from leadline.geometry import Beam, Camera
+from leadline.geometry import Beam, Camera, Pose
 from leadline.rig import Rig
 from leadline.rig_covariance import RigCovariance
+from leadline.rig_parameters import get, replaced
 from leadline.samples import Array
 
 MIN_BOARDS = 8
@@ -55,11 +57,15 @@ class BoardBeamFit:
     used: Mask
     minimum_m: float | None  # the device's true minimum; None where the readings show none
     bias_m: float  # of the readings below it
-    held_out_rms_m: float
+    held_out_m: Array  # residuals of the readings used (in their order), each predicted by a fit without it
 
     @property
     def rms_m(self) -> float:
         return float(np.sqrt(np.mean(self.residual_m[self.used] ** 2)))
+
+    @property
+    def held_out_rms_m(self) -> float:
+        return float(np.sqrt(np.mean(self.held_out_m**2)))
 
     @property
     def outliers(self) -> tuple[str, ...]:
@@ -68,15 +74,23 @@ class BoardBeamFit:
         return tuple(name for name, out in zip(self.names, ~self.used & ~low, strict=True) if out)
 
 
-def calibrate_laser_board(readings: Sequence[BoardReading], board: Board, camera: Camera) -> BoardBeamFit:
-    """Beam of an unseen laser in the camera's frame, in air. InputError where the boards do not fix it."""
+def calibrate_laser_board(
+    readings: Sequence[BoardReading], board: Board, camera: Camera, known: RigCovariance | None = None
+) -> BoardBeamFit:
+    """Beam of an unseen laser in the camera's frame, in air. InputError where the boards do not fix it.
+
+    known: the rig's covariance; the camera (``left.``) is held, but its uncertainty goes into the beam's.
+    """
     readings, planes = _planes(readings, board, camera)
     raw_m = np.array([r.raw_m for r in readings])
     minimum, used = _sound(planes, raw_m)
     x = _fit(planes[used], raw_m[used])
     residual = raw_m - _predicted(x, planes)
     sigma = float(np.sqrt(np.sum(residual[used] ** 2) / max(used.sum() - 6, 1)))
+    seen = [reading for reading, kept in zip(readings, used, strict=True) if kept]
     beam, covariance = _beam(x, planes[used], sigma)
+    if known is not None:
+        covariance = _with_camera(covariance, x, seen, board, camera, known)
     across = float(np.sqrt(np.trace(covariance.of(LASER[:3])) - ALONG_SIGMA_M**2))
     if across > 0.1:
         raise InputError(
@@ -95,10 +109,10 @@ def calibrate_laser_board(readings: Sequence[BoardReading], board: Board, camera
 def with_laser(rig: Rig, fit: BoardBeamFit) -> Rig:
     """The rig with this beam in the place of its own; the covariance of cameras and port stays."""
     group = rig.water.group_index if rig.water is not None else 1.0
-    others = tuple(n for n in rig.covariance.names if not n.startswith("laser."))
-    matrix = np.zeros((len(LASER) + len(others),) * 2)
-    matrix[: len(LASER), : len(LASER)] = fit.covariance.matrix
-    matrix[len(LASER) :, len(LASER) :] = rig.covariance.of(others)
+    known = rig.covariance if rig.water is None else with_group_index(rig.covariance)
+    others = tuple(n for n in known.names if not n.startswith("laser."))
+    matrix = fit.covariance.of(LASER + others)
+    matrix[len(LASER) :, len(LASER) :] = known.of(others)
     laser = dataclasses.replace(fit.beam, group_index=group)
     return dataclasses.replace(rig, laser=laser, covariance=RigCovariance(LASER + others, matrix))
 
@@ -185,6 +199,26 @@ def _beam(x: Array, planes: Array, sigma_m: float) -> tuple[Beam, RigCovariance]
     return beam, RigCovariance(LASER, (cov + cov.T) / 2)
 
 
+def _with_camera(
+    covariance: RigCovariance, x: Array, readings: Sequence[BoardReading], board: Board, camera: Camera,
+    known: RigCovariance,
+) -> RigCovariance:  # fmt: skip
+    """The beam's covariance with what the camera's uncertainty adds, and the correlations between both: the fit again,
+    with the camera one standard deviation off along each of its covariance's axes."""
+    names = tuple(n for n in known.names if n.startswith("left."))
+    if not names:
+        return covariance
+    rig, root = Rig(camera, camera, Pose.identity()), known.root(names)
+    moved = []
+    for part in root.T:
+        kept, planes = _planes(readings, board, replaced(rig, names, get(rig, names) + part).left)
+        moved.append(_named(_fit(planes, np.array([r.raw_m for r in kept]))) - _named(x))
+    D = np.stack(moved, axis=1)
+    cross = D @ root.T
+    matrix = np.block([[covariance.of(LASER) + D @ D.T, cross], [cross.T, known.of(names)]])
+    return RigCovariance(LASER + names, matrix)
+
+
 def _named(x: Array) -> Array:
     """x in terms of LASER (8,), the origin moved along the beam to abreast of the pupil."""
     direction, origin = _direction(x), np.array([x[0], x[1], 0.0])
@@ -192,10 +226,10 @@ def _named(x: Array) -> Array:
     return np.concatenate([origin - back * direction, direction, [x[4], x[5] - x[4] * back]])
 
 
-def _held_out(planes: Array, raw_m: Array) -> float:
-    """Root mean square over readings that the fit has not seen, each in its turn."""
+def _held_out(planes: Array, raw_m: Array) -> Array:
+    """Residuals (N,) of readings that the fit has not seen, each in its turn."""
     misses = np.empty(len(raw_m))
     for fold in range(FOLDS):
         out = np.arange(len(raw_m)) % FOLDS == fold
         misses[out] = raw_m[out] - _predicted(_fit(planes[~out], raw_m[~out]), planes[out])
-    return float(np.sqrt(np.mean(misses**2)))
+    return misses

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leadline.calibration.beam_fit import BeamFit, fit_beam
+from leadline.calibration.group_index import GROUP, with_group_index
 from leadline.calibration.laser import LASER, find_stations, laser_prior, reading_sigma, rig_in_medium
 from leadline.calibration.spots import Sighting, Station, sightings
 from leadline.calibration.virtual_focal import VirtualFocal, virtual_focal
@@ -23,10 +24,6 @@ from leadline.rig import Rig
 from leadline.rig_covariance import RigCovariance
 from leadline.samples import Sample
 
-INDEX, GROUP = "water.index", "water.group_index"
-GROUP_PER_INDEX = 1.12
-"""Fresh to sea, or cold to warm, the group index moves by this times the phase index."""
-LINK_SIGMA = 2e-4  # of the group index where the phase index is known
 BEND_RAD = 0.02  # at the laser's own window, going from air to water: 5 degrees off the square
 BEND_M = 0.001
 
@@ -104,15 +101,3 @@ def range_prior(rig: Rig, bend_m: float = BEND_M) -> RigCovariance:
             place = cov.names.index(name)
             matrix[place, place] += (bend_m if "origin" in name else BEND_RAD) ** 2
     return RigCovariance(cov.names, matrix)
-
-
-def with_group_index(cov: RigCovariance) -> RigCovariance:
-    """The group index among the uncertain: where the phase index goes it follows."""
-    if GROUP in cov.names:
-        return cov
-    row, variance = np.zeros(len(cov.names)), LINK_SIGMA**2
-    if INDEX in cov.names:
-        row = cov.matrix[cov.names.index(INDEX)] * GROUP_PER_INDEX
-        variance += float(row[cov.names.index(INDEX)]) * GROUP_PER_INDEX
-    matrix = np.block([[cov.matrix, row[:, None]], [row[None], np.array([[variance]])]])
-    return RigCovariance((*cov.names, GROUP), matrix)

@@ -22,16 +22,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from leadline.calibration.beam_fit import DIRECTION, BeamFit, fit_beam
+from leadline.calibration.group_index import GROUP, GROUP_PER_INDEX, INDEX
 from leadline.calibration.matches import misses_px
-from leadline.calibration.range import (
-    BEND_M,
-    GROUP,
-    GROUP_PER_INDEX,
-    INDEX,
-    range_prior,
-    water_stations,
-    with_reading_sigma,
-)
+from leadline.calibration.range import BEND_M, range_prior, water_stations, with_reading_sigma
 from leadline.calibration.spots import Station, sightings
 from leadline.errors import InputError
 from leadline.geometry import LayeredPort

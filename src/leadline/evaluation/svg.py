@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
 
@@ -55,7 +55,7 @@ def arrows(size: tuple[int, int], width: float, pixels: Array, vectors: Array, l
     for q, v in zip((pixels + 0.5) * scale, vectors * gain, strict=True):
         colour = INK["red"] if np.hypot(*v) > 15 else INK["dark"]
         parts.append(line(q[0], q[1], q[0] + v[0], q[1] + v[1], colour, 1.5))
-        parts.append(dots(q[None], colour, 1.5))
+        parts.append(dots(q[None], colour, 2.5))
     parts += [line(10, height - 10, 40, height - 10, INK["red"], 2), text(46, height - 6, f"{longest_px:.2g} px")]
     return frame(width, height, parts, title)
 
@@ -102,6 +102,89 @@ def log_chart(curves: Sequence[Curve], x_label: str, y_label: str, title: str, s
         parts.append(text(right + 6, at, c.name))
     parts += [text((left + right) / 2, height - 4, x_label, "middle"), text(4, 12, y_label)]
     return frame(width, height, parts, title)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Marks:
+    """Points x (N,), y (N,); with sigma (N,) each has a bar of one standard deviation; hollow ones stand apart."""
+
+    name: str
+    x: Array
+    y: Array
+    colour: str
+    sigma: Array | None = None
+    hollow: bool = False
+
+
+def chart(
+    marks: Sequence[Marks],
+    x_label: str,
+    y_label: str,
+    title: str,
+    size: tuple[int, int],
+    *,
+    curves: Sequence[Curve] = (),
+    zero: bool = True,
+) -> str:
+    """Points and curves on plain axes; ``zero``: the vertical one has its zero, drawn as a line."""
+    width, height = size
+    left, right, top, bottom = 60.0, width - 190.0, 26.0, height - 36.0
+    x_ticks = _ticks(np.concatenate([m.x for m in marks] + [c.x for c in curves]))
+    ends = [m.y + s for m in marks for s in ((0,) if m.sigma is None else (m.sigma, -m.sigma))]
+    y_ticks = _ticks(np.concatenate([*ends, *(c.y for c in curves), *([np.zeros(1)] if zero else [])]))
+
+    def place(x: Array, y: Array) -> Array:
+        across = left + (right - left) * (x - x_ticks[0]) / (x_ticks[-1] - x_ticks[0])
+        return np.column_stack([across, bottom - (bottom - top) * (y - y_ticks[0]) / (y_ticks[-1] - y_ticks[0])])
+
+    parts = []
+    for tick in y_ticks:
+        y = place(x_ticks[:1], np.array([tick]))[0, 1]
+        strong = zero and abs(tick) < 1e-12
+        parts += [
+            line(left, y, right, y, INK["grey"] if strong else "#e4e7eb"),
+            text(left - 6, y + 4, f"{tick:g}", "end"),
+        ]
+    for tick in x_ticks:
+        x = place(np.array([tick]), y_ticks[:1])[0, 0]
+        parts += [line(x, bottom, x, bottom + 4), text(x, bottom + 17, f"{tick:g}", "middle")]
+    for c in curves:
+        path = "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in place(c.x, c.y))
+        dash = ' stroke-dasharray="5 4"' if c.dashed else ""
+        parts.append(f'<path d="{path}" fill="none" stroke="{c.colour}" stroke-width="1.5"{dash}/>')
+    for m in marks:
+        parts += _drawn(m, place)
+    keys = [(m.name, m.colour, m.hollow) for m in marks] + [(c.name, c.colour, False) for c in curves]
+    for i, (name, colour, hollow) in enumerate(keys):
+        fill = "#ffffff" if hollow else colour
+        at = f'x="{right + 12:.0f}" y="{top + 20 * i:.0f}" width="10" height="10"'
+        parts.append(f'<rect {at} fill="{fill}" stroke="{colour}"/>')
+        parts.append(text(right + 28, top + 20 * i + 10, name))
+    parts += [text((left + right) / 2, height - 4, x_label, "middle"), text(4, 12, y_label)]
+    return frame(width, height, parts, title)
+
+
+def _drawn(m: Marks, place: Callable[[Array, Array], Array]) -> list[str]:
+    known = np.isfinite(m.x) & np.isfinite(m.y)
+    parts = []
+    if m.sigma is not None:
+        low, high = (place(m.x[known], m.y[known] + s * m.sigma[known]) for s in (-1, 1))
+        parts += [line(a[0], a[1], b[0], b[1], m.colour, 1) for a, b in zip(low, high, strict=True)]
+    fill = "#ffffff" if m.hollow else m.colour
+    for x, y in place(m.x[known], m.y[known]):
+        parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{fill}" stroke="{m.colour}" stroke-width="1.5"/>')
+    return parts
+
+
+def _ticks(values: Array) -> Array:
+    """Four to eight round numbers that take in all values."""
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    span = max(high - low, 1e-9 * max(abs(high), 1.0)) or 1.0
+    step = 10.0 ** np.floor(np.log10(span / 4))
+    step *= next(k for k in (1, 2, 5, 10) if span / (k * step) <= 6)
+    ticks: Array = np.arange(np.floor(low / step + 1e-9), np.ceil(high / step - 1e-9) + 1) * step
+    return ticks if len(ticks) > 1 else np.array([ticks[0] - step, ticks[0] + step])
 
 
 def bars(values: Sequence[tuple[str, float, str]], width: float, unit: str, title: str) -> str:

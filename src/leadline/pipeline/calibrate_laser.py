@@ -14,6 +14,7 @@ import numpy as np
 from leadline.calibration.beam_fit import BeamFit
 from leadline.calibration.board import Board, find_corners
 from leadline.calibration.cameras import calibrate_cameras
+from leadline.calibration.group_index import GROUP
 from leadline.calibration.laser import LASER, calibrate_laser
 from leadline.calibration.laser_board import (
     BoardBeamFit,
@@ -22,12 +23,13 @@ from leadline.calibration.laser_board import (
     require_boards,
     with_laser,
 )
-from leadline.calibration.range import GROUP, RangeFit, calibrate_range
+from leadline.calibration.range import RangeFit, calibrate_range
 from leadline.calibration.refine import DISTANCES_M, PortGuess, Refinement, depth_sigmas, refine
 from leadline.calibration.views import BoardView
 from leadline.calibration.virtual_focal import VirtualFocal, virtual_focal
 from leadline.errors import InputError
-from leadline.evaluation.laser_report import Table, write_laser_page
+from leadline.evaluation.laser_charts import board_figures, focal_figure, refinement_figure, station_figures
+from leadline.evaluation.laser_report import Figure, Table, write_laser_page
 from leadline.pipeline.build import parse_water_state
 from leadline.pipeline.calibrate_cameras import now
 from leadline.rig import Rig
@@ -49,11 +51,12 @@ NEXT = {
 
 @dataclass(frozen=True, eq=False)
 class LaserReport:
-    """The calibrated rig, remarks (one line each) and tables."""
+    """The calibrated rig, remarks (one line each), tables and drawings."""
 
     rig: Rig
     lines: tuple[str, ...]
     tables: tuple[Table, ...]
+    figures: tuple[Figure, ...]
 
 
 def laser(
@@ -73,7 +76,7 @@ def laser(
     else:
         report = _from_spots(dive, rig_file, medium, air_port, method, tick)
     _save(_with_provenance(report.rig, "laser", dive, report.lines), out)
-    write_laser_page(_page(out, "laser"), "Laser calibration", report.lines, report.tables, NEXT["laser"])
+    _write_page(report, out, "laser", "Laser calibration")
     return report
 
 
@@ -100,7 +103,7 @@ def water_range(
             report = _range_report(calibrate_range(samples, rig), source)
     step = "refine" if refined else "range"
     _with_provenance(report.rig, step, dive, report.lines).save(out)
-    write_laser_page(_page(out, step), "Range calibration in water", report.lines, report.tables, NEXT[step])
+    _write_page(report, out, step, "Range calibration in water")
     return report
 
 
@@ -155,9 +158,10 @@ def _fitting(source: Source, rig: Rig, tick: Tick) -> Iterator[Sample]:
         yield sample
 
 
-def _page(out: Path, step: str) -> Path:
+def _write_page(report: LaserReport, out: Path, step: str, title: str) -> None:
     """rig.yaml -> rig-laser.html: the cameras' page keeps its own name."""
-    return out.with_name(f"{out.stem}-{step}.html")
+    page = out.with_name(f"{out.stem}-{step}.html")
+    write_laser_page(page, title, report.lines, report.tables, report.figures, NEXT[step])
 
 
 def _save(rig: Rig, out: Path) -> None:
@@ -197,10 +201,11 @@ def _from_boards(folder: Path, rig_file: str | None, board: Board | None, tick: 
         if (rig.left.width, rig.left.height) != size:
             what = f"the images are {size[0]}x{size[1]}, the rig's cameras {rig.left.width}x{rig.left.height}"
             raise InputError(what, "", "give the rig of this camera, or leave --rig out")
-        fit = calibrate_laser_board(readings, board, rig.left)
+        fit = calibrate_laser_board(readings, board, rig.left, rig.covariance)
     found = f"board found in {len(readings)} of {len(table.images)} images"
     lines = (found, *_board_lines(fit), *(str(n) for n in table.notices))
-    return LaserReport(with_laser(rig, fit), lines, (_beam_table(with_laser(rig, fit)),))
+    calibrated = with_laser(rig, fit)
+    return LaserReport(calibrated, lines, (_beam_table(calibrated),), tuple(board_figures(fit)))
 
 
 def _camera_rig(rig_file: str | None, readings: Sequence[BoardReading], board: Board, size: tuple[int, int]) -> Rig:
@@ -228,7 +233,8 @@ def _spot_report(fit: BeamFit, source: Source, medium: str, method: str) -> Lase
     lines = [*_fit_lines(fit, source), f"beam measured in {medium}, method {method}"]
     if method == "ml":
         lines.append("where the laser begins on its beam and the offset are one number: see the covariance")
-    return LaserReport(fit.rig, tuple(lines), (_beam_table(fit.rig), _station_table(fit)))
+    tables = (_beam_table(fit.rig), _station_table(fit))
+    return LaserReport(fit.rig, tuple(lines), tables, tuple(station_figures(fit)))
 
 
 def _range_report(result: RangeFit, source: Source) -> LaserReport:
@@ -239,20 +245,23 @@ def _range_report(result: RangeFit, source: Source) -> LaserReport:
             lines.append(
                 f"{what} by itself is not seen by this dive: it stays as known before, +- {result.fit.sigma(name):.5f}"
             )
-    tables = [_beam_table(result.fit.rig), _station_table(result.fit)]
+    tables, figures = [_beam_table(result.fit.rig), _station_table(result.fit)], station_figures(result.fit)
     if result.focal is not None:
         tables.append(_focal_table(result.focal))
-    return LaserReport(result.fit.rig, tuple(lines), tuple(tables))
+        figures.append(focal_figure(result.focal))
+    return LaserReport(result.fit.rig, tuple(lines), tuple(tables), tuple(figures))
 
 
 def _refine_report(result: Refinement, source: Source) -> LaserReport:
     rig = result.rig
     focal = virtual_focal(rig, result.fit.stations)
     tables = [_gain_table(result), _depth_table(result), _beam_table(rig), _station_table(result.fit)]
+    figures = [refinement_figure(result), *station_figures(result.fit)]
     if focal is not None:
         rig = dataclasses.replace(rig, virtual_focal_px=(focal.fx_px, focal.fy_px))
         tables.append(_focal_table(focal))
-    return LaserReport(rig, tuple(_fit_lines(result.fit, source)), tuple(tables))
+        figures.append(focal_figure(focal))
+    return LaserReport(rig, tuple(_fit_lines(result.fit, source)), tuple(tables), tuple(figures))
 
 
 def _fit_lines(fit: BeamFit, source: Source) -> list[str]:

@@ -37,7 +37,7 @@ class CalibrationError:
 
     def __init__(self, rig: Rig) -> None:
         names = _stereo_names(rig)
-        self._root = _root(rig.covariance.of(names))
+        self._root = rig.covariance.root(names)
         z_m = np.geomspace(NEAREST_M, FARTHEST_M, DEPTHS)
         slopes = _field(rig)
         self._axes = (z_m, *(np.linspace(*ends, ACROSS) for ends in slopes))
@@ -67,14 +67,6 @@ class CalibrationError:
 def _stereo_names(rig: Rig) -> tuple[str, ...]:
     """The uncertain parameters that a stereo point depends on."""
     return tuple(n for n in rig.covariance.names if not n.startswith("laser.") and n != "water.group_index")
-
-
-def _root(cov: Array) -> Array:
-    """A with A A^T = cov, for a covariance that may be singular; by its correlations, since the units differ."""
-    sigma = np.sqrt(np.diag(cov))
-    unit = np.where(sigma > 0, sigma, 1.0)
-    values, vectors = np.linalg.eigh(cov / np.outer(unit, unit))
-    return np.asarray(unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _field(rig: Rig) -> tuple[tuple[float, float], tuple[float, float]]:
