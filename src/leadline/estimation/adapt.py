@@ -63,7 +63,7 @@ class Noise:
 
 def _in_sigmas(v: list[float], C: list[list[float]]) -> tuple[float, float, float] | None:
     """L^-1 v with C = L L'; None where C is no covariance."""
-    factor = cholesky(C)
+    factor = cholesky((C[0][0], C[1][0], C[1][1], C[2][0], C[2][1], C[2][2]))
     if factor is None:
         return None
     a, b, c, d, e, f = factor

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import isfinite
 
 import numpy as np
 
@@ -33,7 +34,7 @@ def take(state: State, measurements: Sequence[Measurement], settings: FilterSett
     if settings.adapt and position:
         moved = state.y[:3] - predicted.y[:3]
         noise = state.noise.after_correction(moved, predicted.P[:3, :3], state.P[:3, :3], settings.acceleration_psd)
-        state = replace(state, noise=noise)
+        state = State(state.t_ns, state.y, state.P, state.k, noise, state.turn_rad_s, state.refused)
     return state, Taken(tuple(used), tuple(rejected), position, surprise)
 
 
@@ -50,7 +51,7 @@ def _take(state: State, m: Measurement, settings: FilterSettings) -> tuple[State
             return _with_a_new_clock(state, m, cov, settings)
     nis = result.nis if isinstance(result, Refused) else result[2]
     noise = state.noise
-    if settings.adapt and nis is not None and np.isfinite(nis):
+    if settings.adapt and nis is not None and isfinite(nis):
         noise = noise.after_innovation(m.kind, nis, len(m.z))
     if isinstance(result, Refused):
         return replace(state, noise=noise, refused=refusals), result
@@ -90,14 +91,18 @@ def take_motion(state: State, motion: VehicleMotion, settings: FilterSettings) -
 
 
 def _plain(state: State, m: Measurement) -> Linear:
-    d, n = 3 + state.k, len(state.y)
+    d = 3 + state.k
+    H = np.zeros((len(m.z), len(state.y)))
+    before: Array | None = None
 
     def linear(y: Array) -> tuple[Array, Array, float] | None:
+        nonlocal H, before
         seen = m.predict(y[:d])
         if seen is None:
             return None
-        H = np.zeros((len(seen[0]), n))
-        H[:, :d] = seen[1]
+        if seen[1] is not before:  # what is straight may give the same Jacobian each time
+            before, H = seen[1], np.zeros_like(H)
+            H[:, :d] = before
         return seen[0], H, 0.0
 
     return linear

@@ -36,6 +36,8 @@ class MotionModel:
         walk[3 : 3 + self.k] = shape_walk**2
         walk[-1] = CLOCK_WALK_S**2 if settings.laser_clock_sigma_s > 0 else 0.0
         self._walk = np.diag(walk)
+        derivatives = range(self._derivatives + 1)
+        self._diagonals = [[self._diagonal(row, column) for column in derivatives] for row in derivatives]
 
     def start(self, t_ns: int, x: Array, cov: Array) -> State:
         """x = (position, shape) with its covariance; velocity, acceleration and clock unknown but for their size."""
@@ -70,7 +72,8 @@ class MotionModel:
                 self._block(F, row, column, value)
         for (row, column), value in noise.items():
             self._block(Q, row, column, psd * value)
-            self._block(Q, column, row, psd * value)
+            if row != column:
+                self._block(Q, column, row, psd * value)
         if turn_rad_s is not None:
             F = self._with_turn(F, state.turn_rad_s, turn_rad_s, dt)
             lever = cross(state.y[:3]) * (turn_sigma * dt)
@@ -82,9 +85,11 @@ class MotionModel:
 
     def _block(self, M: Array, row: int, column: int, value: float) -> None:
         """Set the diagonal of the 3x3 block that couples two derivatives of the position."""
-        n = self.size
-        first = self._start_of(row) * n + self._start_of(column)
-        M.reshape(-1)[first : first + 2 * (n + 1) + 1 : n + 1] = value
+        M.reshape(-1)[self._diagonals[row][column]] = value
+
+    def _diagonal(self, row: int, column: int) -> slice:
+        first = self._start_of(row) * self.size + self._start_of(column)
+        return slice(first, first + 2 * (self.size + 1) + 1, self.size + 1)
 
     def _with_turn(self, F: Array, before: Array | None, turn: Array, dt: float) -> Array:
         """The step in a frame that does not turn: the turn is taken out of the velocity, and put in again after it."""

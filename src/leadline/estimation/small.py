@@ -1,27 +1,70 @@
-"""Linear algebra of at most three dimensions by hand: for matrices this small, calling NumPy is most of the work."""
+"""Linear algebra of at most three dimensions by hand: for matrices this small, calling NumPy is most of the work.
+
+A symmetric matrix is (xx, xy, yy, xz, yz, zz), the lower triangle row by row. What has fewer dimensions is filled up
+with a measurement that says nothing (``filled``).
+"""
 
 from __future__ import annotations
 
 from math import sqrt
 
-Factor = tuple[float, float, float, float, float, float]
+from leadline.samples import Array
+
+Symmetric = tuple[float, float, float, float, float, float]
+Vector = tuple[float, float, float]
 
 
-def cholesky(C: list[list[float]]) -> Factor | None:
-    """The lower triangle L with L L' = C, row by row; ones beyond the size of C. None where C is no covariance."""
-    if not C[0][0] > 0:
+def filled(M: Array, last: float) -> Symmetric:
+    """Of a symmetric matrix (m, m), m <= 3; ``last`` on the diagonal where there is nothing."""
+    rows = M.tolist()
+    if len(rows) == 3:
+        (a, _, _), (b, c, _), (d, e, f) = rows
+        return a, b, c, d, e, f
+    if len(rows) == 1:
+        return rows[0][0], 0.0, last, 0.0, 0.0, last
+    (a, _), (b, c) = rows
+    return a, b, c, 0.0, 0.0, last
+
+
+def cholesky(C: Symmetric) -> Symmetric | None:
+    """The lower triangle L with L L' = C; None where C is no covariance."""
+    xx, xy, yy, xz, yz, zz = C
+    if not xx > 0:
         return None
-    a = sqrt(C[0][0])
-    if len(C) == 1:
-        return a, 0.0, 1.0, 0.0, 0.0, 1.0
-    b = C[1][0] / a
-    cc = C[1][1] - b * b
-    if not cc > 0:
+    a = sqrt(xx)
+    b, d = xy / a, xz / a
+    yy -= b * b
+    if not yy > 0:
         return None
-    c = sqrt(cc)
-    if len(C) == 2:
-        return a, b, c, 0.0, 0.0, 1.0
-    d = C[2][0] / a
-    e = (C[2][1] - d * b) / c
-    ff = C[2][2] - d * d - e * e
-    return (a, b, c, d, e, sqrt(ff)) if ff > 0 else None
+    c = sqrt(yy)
+    e = (yz - d * b) / c
+    zz -= d * d + e * e
+    return (a, b, c, d, e, sqrt(zz)) if zz > 0 else None
+
+
+def inverse(C: Symmetric) -> Symmetric | None:
+    """None where C is no covariance."""
+    L = cholesky(C)
+    if L is None:
+        return None
+    a, b, c, d, e, f = L
+    a, c, f = 1 / a, 1 / c, 1 / f
+    e = -e * c * f
+    d = -(d * f * a) - e * b * a
+    b = -b * a * c
+    return a * a + b * b + d * d, b * c + d * e, c * c + e * e, d * f, e * f, f * f
+
+
+def times(C: Symmetric, v: Vector) -> Vector:
+    xx, xy, yy, xz, yz, zz = C
+    x, y, z = v
+    return xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
+
+
+def dot(v: Vector, w: Vector) -> float:
+    return v[0] * w[0] + v[1] * w[1] + v[2] * w[2]
+
+
+def trace(C: Symmetric, D: Symmetric) -> float:
+    """Of the product."""
+    return C[0] * D[0] + C[2] * D[2] + C[5] * D[5] + 2 * (C[1] * D[1] + C[3] * D[3] + C[4] * D[4])

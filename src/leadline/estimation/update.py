@@ -1,25 +1,19 @@
-"""One robust measurement update: iterated, with Student-t noise, behind a gate that reports what it turns away.
-
-The noise's scale s is settled by the fixed-point iteration of Agamennoni, Nieto and Nebot 2012 ("Approximate inference
-in state-space models with heavy-tailed noise"). In axes T that make the measurement's covariance the identity and the
-predicted one diagonal (a), each step of it is a sum over few numbers, and nothing is solved twice.
-"""
+"""One measurement update: behind a gate that reports what it turns away, robust, and iterated where h is curved."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from math import sqrt
+from math import inf, isnan, sqrt
 
 import numpy as np
 
-from leadline.estimation.small import cholesky
+from leadline.estimation.student import settle
 from leadline.samples import Array
 
-RELINEARISED = 5  # at most, where h is curved over the state's spread
+RELINEARISED = 5  # at most
 SETTLED = 0.02  # of the measurement's sigma: h is straight enough
-SCALE_STEPS, SCALE_SETTLED = 20, 1e-4
 
 Linear = Callable[[Array], tuple[Array, Array, float] | None]
 """y -> h(y) (m,), its Jacobian (m, n) and what the curvature adds to the noise; None where y cannot give it at all."""
@@ -47,71 +41,25 @@ def update(
         return Refused("cannot come from this target")
     h, H, extra = seen
     noise = cov + extra if extra else cov
-    whitener = _whitener(noise)
-    if whitener is None:
-        return Refused("its covariance is not one")
-    off, point, nis = z - h, y, 0.0
+    off, point, P_after, nis, gate = z - h, y, P, 0.0, gate_threshold(len(z), gate_sigmas)
     for turn in range(RELINEARISED):
         PHt = P @ H.T
-        T, a = _axes(whitener, H @ PHt)
-        u = T @ off
-        squares, spread = (u * u).tolist(), a.tolist()
+        settled = settle(H @ PHt, noise, off, nu, gate if turn == 0 else inf)
+        if isinstance(settled, float):
+            return Refused("has no proper covariance") if isnan(settled) else Refused("disagrees", settled)
         if turn == 0:
-            nis = sum(square / (1 + variance) for square, variance in zip(squares, spread, strict=True))
-            if not nis <= gate_threshold(len(squares), gate_sigmas):
-                return Refused("disagrees", nis)
-        s = _scale(squares, spread, nu)
-        B, gain = PHt @ T.T, s / (1 + s * a)
-        step = B @ (gain * u)
-        seen = linear(y + step)
+            nis = settled.nis
+        P_after = P - PHt @ settled.inverse @ PHt.T
+        step = PHt @ settled.w
+        before, point = point, y + step
+        seen = linear(point)
         if seen is None:
             return Refused("cannot come from this target")
-        curved = T @ (seen[0] - h - H @ (step if turn == 0 else y + step - point))
-        point = y + step
-        if turn == RELINEARISED - 1 or float(curved @ curved) < SETTLED**2:
+        if seen[1] is H:  # the very same Jacobian: it is straight
+            break
+        curved = seen[0] - h - H @ (point - before)
+        if (curved**2 < SETTLED**2 * np.diagonal(noise)).all():
             break
         h, H, _ = seen
         off = z - h + H @ step
-    return point, P - (B * gain) @ B.T, nis
-
-
-def _axes(whitener: Array, predicted: Array) -> tuple[Array, Array]:
-    """T (m, m) and a (m,): T noise T' = 1, T predicted T' = diag(a)."""
-    if len(predicted) == 1:
-        return whitener, predicted[0] * whitener[0, 0] ** 2
-    a, U = np.linalg.eigh(whitener @ predicted @ whitener.T)
-    return U.T @ whitener, np.maximum(a, 0.0)
-
-
-def _whitener(C: Array) -> Array | None:
-    """W (m, m), lower, with W C W' = 1; None where C is no covariance. Up to three by hand: that takes a third."""
-    if len(C) > 3:
-        try:
-            return np.linalg.inv(np.linalg.cholesky(C))
-        except np.linalg.LinAlgError:
-            return None
-    factor = cholesky(C.tolist())
-    if factor is None:
-        return None
-    a, b, c, d, e, f = factor  # of the lower triangle, row by row
-    if len(C) == 1:
-        return np.array([[1 / a]])
-    if len(C) == 2:
-        return np.array([[1 / a, 0.0], [-b / (a * c), 1 / c]])
-    return np.array(
-        [[1 / a, 0.0, 0.0], [-b / (a * c), 1 / c, 0.0], [(b * e - c * d) / (a * c * f), -e / (c * f), 1 / f]]
-    )
-
-
-def _scale(squares: list[float], a: list[float], nu: float) -> float:
-    """By how much the noise is narrower than stated (below 1: wider), given innovations squared along the axes."""
-    s, m = 1.0, len(a)
-    for _ in range(SCALE_STEPS):
-        spread = 0.0
-        for square, variance in zip(squares, a, strict=True):
-            kept = 1 / (1 + s * variance)
-            spread += kept * (kept * square + variance)
-        before, s = s, (nu + m) / (nu + spread)
-        if abs(s - before) < SCALE_SETTLED:
-            break
-    return s
+    return point, P_after, nis
