@@ -95,8 +95,7 @@ def test_without_texture_there_is_no_match() -> None:
     rng = np.random.default_rng(6)
     left, right = (np.asarray(100 + rng.normal(0, NOISE, (HEIGHT, WIDTH)), np.float32) for _ in range(2))
     matches = refine(left, right, flat_warp(), np.zeros(ROWS * COLUMNS))
-    trusted = np.isfinite(matches.shift_px) & (matches.correlation > 0.3) & (matches.sigma_px < 0.6)
-    assert trusted.mean() < 0.01
+    assert np.isfinite(matches.shift_px).mean() < 0.01
     even = np.full((HEIGHT, WIDTH), 100.0, np.float32)
     assert np.isnan(refine(even, even, flat_warp(), np.zeros(ROWS * COLUMNS)).shift_px).all()
 
@@ -105,16 +104,17 @@ def test_another_texture_is_no_match() -> None:
     """Three hundred patches of an unrelated place: next to none may be believed."""
     left, right = (np.asarray(texture(X + moved, Y), np.float32) for moved in (0.0, 3000.0))
     matches = refine(left, right, flat_warp(), np.zeros(ROWS * COLUMNS))
-    trusted = np.isfinite(matches.shift_px) & (matches.correlation > 0.3) & (matches.sigma_px < 0.2)
-    assert trusted.mean() < 0.05
+    assert np.isfinite(matches.shift_px).mean() < 0.01
 
 
 @pytest.mark.parametrize("shift_px", [-5.0, 0.0, 3.0])
-def test_search_finds_the_whole_pixel(shift_px: float) -> None:
+def test_search_finds_the_place(shift_px: float) -> None:
     left, right = pair(shift_px + 0.2, NOISE)
-    found, score = search(left, right, flat_warp(), 6.0)
-    assert (found == shift_px).mean() > 0.99
-    assert np.median(score) > 0.9
+    found = search(left, right, flat_warp(), 6.0)
+    assert np.median(np.abs(found.shift_px - shift_px - 0.2)) < 0.1
+    assert (np.abs(found.shift_px - shift_px - 0.2) < 0.5).mean() > 0.99
+    assert np.median(found.correlation) > 0.9
+    assert found.repeated.mean() < 0.05
 
 
 def test_slant_is_followed() -> None:

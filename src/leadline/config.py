@@ -51,12 +51,12 @@ class PaperConfig(Section):
 class StereoConfig(Section):
     """Matching patches of the target between the two images."""
 
-    patches: int = Field(120, ge=20, description="about how many patches are matched on the target")
+    patches: int = Field(60, ge=20, description="about how many patches are matched on the target")
     half_px: int = Field(
-        15, ge=4, le=40, description="a patch is a square of 2 half + 1 pixels, on a small target less"
+        11, ge=4, le=40, description="a patch is a square of 2 half + 1 pixels, on a small target less"
     )
     min_half_px: int = Field(4, ge=3, le=40, description="but not less than this")
-    target_px: int = Field(350, ge=60, description="a larger target is matched in a smaller image, about this size")
+    target_px: int = Field(175, ge=60, description="a larger target is matched in a smaller image, about this size")
     max_sigma_px: float = Field(0.6, gt=0, description="a match less certain than this is no match")
     min_correlation: float = Field(0.3, ge=0, le=1, description="nor is one that correlates less")
     min_agreed: int = Field(6, ge=4, description="patches that must agree on one shape")

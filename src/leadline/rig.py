@@ -105,11 +105,14 @@ class Rig:
 
         NaN where a point is behind a camera, inside the port or beyond the lens's field.
         """
+        return self.project_one(points_m, "left"), self.project_one(points_m, "right")
+
+    def project_one(self, points_m: ArrayLike, camera: Side) -> Array:
+        """As ``project``, for one camera (N, 2)."""
+        lens, port = self._side(camera)
         points = as_rows(points_m, 3)
-        in_right = self.T_right_left.apply(points + self._shift_m)
-        if self.port is None or self._right_port is None:
-            return self.left.project(points), self.right.project(in_right)
-        return self.port.project(self.left, points), self._right_port.project(self.right, in_right)
+        here = points if camera == "left" else self.T_right_left.apply(points + self._shift_m)
+        return lens.project(here) if port is None else port.project(lens, here)
 
     def project_with_jacobian(self, points_m: ArrayLike, camera: Side = "left") -> tuple[Array, Array]:
         """Pixels (N, 2) of one camera and d(pixel)/d(point in the left frame) (N, 2, 3), px/m."""

@@ -3,24 +3,58 @@
 A patch is a square of the left image; a warp says where its pixels are expected in the right one. The right place is
 found by a shift along the epipolar direction that may vary linearly over the patch (slant), with gain and offset of
 brightness free (Gruen 1985, "Adaptive least squares correlation"). All patches are solved together, vectorised.
+
+The smooth derivative of the left patch is an instrument, its response is measured in the right patch: their noises are
+independent, so that noise neither counts as texture nor slows the steps, and fine texture is not overshot.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from enum import IntEnum
+from functools import cache
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from leadline.ranging.images import Float32, Spline
+from leadline.ranging.images import Float32, cubic, linear, spline_coefficients
 from leadline.samples import Array
 
-MAX_ITERATIONS = 5
+ROUGH_STEPS = 3  # with linear sampling, until it is as close as that can tell
+CLOSE_PX = 0.15
+FINE_STEPS = 2  # with exact sampling; one is enough from CLOSE_PX
 MAX_STEP_PX = 0.7
-SETTLED_PX = 3e-3
-MAX_RUN_PX = 2.0  # from the whole-pixel search, which cannot be wrong by more
+MAX_RUN_PX = 2.0  # from the search, which cannot be wrong by more
 MAX_SLANT_PX = 4.0
-MIN_SIGNAL = 0.2  # texture that both images share, over texture and noise of one
+ROUNDED, UNLIKE = 1 / 12, 0.02  # least residual: whole grey levels; interpolation, as a part of the texture
+LEVEL = 0.1  # of the epipolar direction: below it the derivative across it is left out, an instrument need not be exact
+
+
+class Verdict(IntEnum):
+    """Whether a patch is matched, else why it is not."""
+
+    MATCHED = 0
+    LEFT_THE_IMAGE = 1
+    OVER_EXPOSED = 2
+    SMOOTH = 3
+    REPEATED = 4
+    DIFFERENT = 5
+    COVERED = 6
+    RAN_AWAY = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What still is a match."""
+
+    signal: float = 0.3  # texture along the curve that both images share, over texture and noise of one
+    sigma_px: float = 0.6
+    correlation: float = 0.3
+    clipped: float = 0.04  # part of the pixels that may be black or white
+    chance: float = 0.05  # that unrelated texture of the same grain correlates as well
+    parts: float = 3.5  # sigmas that a ninth of the patch may pull
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,149 +67,290 @@ class Warp:
     bend: Array  # (N, 2, 5) right pixels for dx, dy, dx^2, dx dy, dy^2: tilt, curvature and refraction of the surface
     along: Array  # (N, 2) unit direction of the epipolar curve, right
 
+    def pick(self, keep: NDArray[np.bool_]) -> Warp:
+        return Warp(self.centre_px[keep], self.half, self.expected_px[keep], self.bend[keep], self.along[keep])
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Of the search (N,): the best shift, the correlation there, and whether another place is about as good."""
+
+    shift_px: Array
+    correlation: Array
+    repeated: NDArray[np.bool_]
+
 
 @dataclass(frozen=True, slots=True)
 class Matches:
-    """Shift (N,) along the direction, its sigma (N,), and the correlation (N,); NaN where there is none."""
+    """Shift (N,) along the direction, its sigma, the correlation, and the verdict; shift NaN where not matched."""
 
     shift_px: Array
     sigma_px: Array
     correlation: Array
+    verdict: NDArray[np.int8]
 
 
-def templates(left: Float32, warp: Warp) -> tuple[Array, Array, Array]:
-    """Patch pixels (N, W) of the left image and their x, y derivatives (Gaussian, sigma 1 px)."""
-    offset = np.arange(-warp.half, warp.half + 1)
-    rows = warp.centre_px[:, 1, None, None].astype(int) + offset[None, :, None]
-    columns = warp.centre_px[:, 0, None, None].astype(int) + offset[None, None, :]
-    low = np.array([columns.min(), rows.min()]) - 6
-    high = np.array([columns.max(), rows.max()]) + 7
-    low = np.maximum(low, 0)
-    region = np.ascontiguousarray(left[low[1] : high[1], low[0] : high[0]])
-    smooth = cv2.getGaussianKernel(9, 1.0, cv2.CV_32F)
-    slope = smooth * np.arange(-4, 5, dtype=np.float32)[:, None]
-    slope /= float((slope[:, 0] * np.arange(-4, 5)).sum())
-    gx = cv2.sepFilter2D(region, cv2.CV_32F, slope, smooth)
-    gy = cv2.sepFilter2D(region, cv2.CV_32F, smooth, slope)
-    at = (rows - low[1], columns - low[0])
-    flat = (len(warp.centre_px), -1)
-    return tuple(np.asarray(image[at].reshape(flat), float) for image in (region, gx, gy))  # type: ignore[return-value]
-
-
-def offsets(half: int) -> tuple[Array, Array]:
-    """(W,) dx, dy of a patch's pixels from its centre, rows first."""
-    dy, dx = np.mgrid[-half : half + 1, -half : half + 1]
-    return dx.ravel().astype(float), dy.ravel().astype(float)
-
-
-def places(warp: Warp, shift_px: Array, slant: Array) -> tuple[Array, Array]:
-    """Right coordinates (N, W) of every patch pixel for shifts (N,) and slants (N, 2) in px at the patch's edge."""
-    dx, dy = offsets(warp.half)
-    along = shift_px[:, None] + (slant[:, :1] * dx + slant[:, 1:] * dy) / warp.half
-    x, y = (warp.bend @ bend_terms(dx, dy)).transpose(1, 0, 2)
-    return (
-        warp.expected_px[:, :1] + x + along * warp.along[:, :1],
-        warp.expected_px[:, 1:] + y + along * warp.along[:, 1:],
-    )
-
-
-def bend_terms(dx: Array, dy: Array) -> Array:
+def bend_terms(dx: Array | Float32, dy: Array | Float32) -> Array | Float32:
     """(5, W) what ``Warp.bend`` multiplies."""
     return np.stack([dx, dy, dx * dx, dx * dy, dy * dy])
 
 
-def search(left: Float32, right: Float32, warp: Warp, reach_px: float) -> tuple[Array, Array]:
-    """The best whole-pixel shift (N,) within +-reach, and the correlation there (N,)."""
-    template = _normalised(templates(left, warp)[0])
+def offsets(half: int, step: int = 1) -> tuple[Float32, Float32]:
+    """(W,) dx, dy of a patch's pixels from its centre, rows first."""
+    line = np.arange(-half, half + 1, step, dtype=np.float32)
+    return np.tile(line, len(line)), np.repeat(line, len(line))
+
+
+class _Places:
+    """Right coordinates of the patches' pixels, as functions of shift and slant."""
+
+    def __init__(self, warp: Warp, reach: int, step: int = 1) -> None:
+        dx, dy = offsets(reach, step)
+        terms = np.concatenate([bend_terms(dx, dy), np.ones((1, len(dx)))]).astype(np.float32)
+        place = np.concatenate([warp.bend, warp.expected_px[:, :, None]], axis=2).astype(np.float32)
+        self._x, self._y = place[:, 0] @ terms, place[:, 1] @ terms
+        self._along = warp.along.astype(np.float32)
+        self._slant = np.stack([np.ones_like(dx), dx / warp.half, dy / warp.half])
+
+    def at(self, p: Array) -> tuple[Float32, Float32]:
+        """(N, W) each, for shift and slants (N, 3), slants in px at the patch's edge."""
+        shift = p.astype(np.float32) @ self._slant
+        return self._x + shift * self._along[:, :1], self._y + shift * self._along[:, 1:]
+
+    def shifted(self, shifts: Array) -> tuple[Float32, Float32]:
+        """(N K, W) each, for K shifts common to all."""
+        by = (self._along[:, None] * shifts.astype(np.float32)[:, None])[..., None]
+        width = self._x.shape[1]
+        return (self._x[:, None] + by[:, :, 0]).reshape(-1, width), (self._y[:, None] + by[:, :, 1]).reshape(-1, width)
+
+
+def search(left: Float32, right: Float32, warp: Warp, reach_px: float) -> Found:
+    """The best shift within +-reach, to a fraction of a pixel; on slightly blurred images, every second pixel."""
+    step = 2 if warp.half > 5 else 1
+    template = _normalised(_windows(_blurred(left), warp, 0)[:, ::step, ::step].reshape(len(warp.centre_px), -1))
     shifts = np.arange(-np.ceil(reach_px), np.ceil(reach_px) + 1)
-    flat = np.zeros((len(template), 2))
-    scores = []
-    for shift in shifts:
-        x, y = places(warp, np.full(len(template), shift), flat)
-        sampled = cv2.remap(
-            right, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
-        scores.append(np.einsum("nw,nw->n", template, _normalised(np.asarray(sampled, float))))
-    table = np.array(scores)
-    best = table.argmax(axis=0)
-    return shifts[best], table[best, np.arange(len(best))]
+    sampled = linear(_blurred(right), *_Places(warp, warp.half, step).shifted(shifts))
+    table = (_normalised(sampled).reshape(len(template), len(shifts), -1) @ template[:, :, None])[:, :, 0]
+    fraction, height = _peaks(table)
+    rows, best = np.arange(len(table)), height.argmax(axis=1)
+    score = height[rows, best]
+    beside = np.abs(np.arange(len(shifts)) - best[:, None]) <= 1
+    second = np.where(beside, -1, height).max(axis=1)
+    return Found(shifts[best] + fraction[rows, best], score, second > score - 0.5 * (1 - score) - 0.05)
 
 
-def _normalised(patches: Array) -> Array:
-    centred = patches - patches.mean(axis=1, keepdims=True)
-    return np.asarray(centred / (np.linalg.norm(centred, axis=1, keepdims=True) + 1e-9))
+def _peaks(table: Float32) -> tuple[Float32, Float32]:
+    """Of rows (N, K): how far (N, K) a peak is from its sample, and its height, by a parabola; -1 where there is none.
 
-
-def refine(left: Float32, right: Float32, warp: Warp, start_px: Array) -> Matches:
-    """Sub-pixel shifts from whole-pixel ones, with the sigma that the patch's own noise and texture imply.
-
-    The smooth derivative of the left patch is an instrument, its response is measured in the right patch: their noises
-    are independent, so that noise neither counts as texture nor slows the steps, and fine texture is not overshot.
+    An end that is higher than its neighbour is taken for a peak.
     """
-    template, gx, gy = templates(left, warp)
-    instrument = _design(warp, gx, gy, template)
-    x, y = places(warp, start_px, np.zeros((len(start_px), 2)))
-    spline = Spline.of(right, np.stack([x.ravel(), y.ravel()], axis=1), 8 + warp.half)
+    wide = np.pad(table, ((0, 0), (1, 1)), mode="edge")
+    low, mid, high = wide[:, :-2], table, wide[:, 2:]
+    bow = np.minimum(low - 2 * mid + high, np.float32(-1e-6))
+    peak = (mid >= low) & (mid >= high)
+    fraction = np.clip(0.5 * (low - high) / bow, -0.5, 0.5)
+    fraction[:, [0, -1]] = 0
+    return fraction, np.where(peak, mid - 0.25 * (low - high) * fraction, np.float32(-1))
+
+
+def _blurred(image: Float32) -> Float32:
+    return np.asarray(cv2.GaussianBlur(image, (3, 3), 0.8), np.float32)
+
+
+def _normalised(patches: Float32) -> Float32:
+    centred = patches - patches.mean(axis=1, keepdims=True)
+    centred /= np.sqrt(np.einsum("nw,nw->n", centred, centred) + 1e-6)[:, None]
+    return np.asarray(centred, np.float32)
+
+
+def _windows(image: Float32, warp: Warp, room: int) -> Float32:
+    """(N, S, S) patches of an image around the warp's centres, ``room`` pixels wider on each side."""
+    reach = warp.half + room
+    views = np.lib.stride_tricks.sliding_window_view(image, (2 * reach + 1, 2 * reach + 1))
+    columns, rows = warp.centre_px.astype(int).T - reach
+    return np.asarray(views[rows, columns])
+
+
+def _slope(windows: Float32, back: Float32) -> Float32:
+    """Derivative (N, W) by the shift, of windows (N, S, S) with a room of one pixel."""
+    slope = (windows[:, 1:-1, 2:] - windows[:, 1:-1, :-2]) * (0.5 * back[:, 0, None])
+    if np.abs(back[:, 1]).max(initial=0.0) > LEVEL:
+        slope += (windows[:, 2:, 1:-1] - windows[:, :-2, 1:-1]) * (0.5 * back[:, 1, None])
+    return np.asarray(slope.reshape(len(windows), -1))
+
+
+@cache
+def _slants(half: int) -> Float32:
+    """(W, 3) how a patch's pixels move by a shift of one, and a slant of one in each direction at its edge."""
+    dx, dy = offsets(half)
+    return np.stack([np.ones_like(dx), dx / half, dy / half], axis=1)
+
+
+@cache
+def _slant_products(half: int) -> Float32:
+    """(W, 9)"""
+    slants = _slants(half)
+    return np.asarray((slants[:, :, None] * slants[:, None]).reshape(-1, 9))
+
+
+@cache
+def _ninths(side: int) -> Float32:
+    """(W, 9) that sums a patch's pixels over each of nine parts."""
+    part = np.arange(side) * 3 // side
+    return np.asarray((part[:, None] * 3 + part).ravel()[:, None] == np.arange(9), np.float32)
+
+
+class _Templates:
+    """The left patches, W pixels each, and the instruments they are matched with.
+
+    Instrument i of a patch: slope * slant_i, made square to a constant and to the patch itself, whose level and gain
+    are free. It is never written out: ``pull`` and ``response`` are its products with something else.
+    """
+
+    def __init__(self, left: Float32, warp: Warp) -> None:
+        self.half, count = warp.half, len(warp.centre_px)
+        windows = _windows(left, warp, 0)
+        grey = windows.reshape(count, -1)
+        self.clipped = ((grey > 250) | (grey < 2)).mean(axis=1, dtype=np.float32)
+        self.grey = grey - grey.mean(axis=1, keepdims=True)
+        self.energy = np.einsum("nw,nw->n", self.grey, self.grey) + np.float32(1e-6)
+        self.back = np.linalg.solve(warp.bend[:, :, :2], warp.along[:, :, None]).astype(np.float32)
+        smooth = _windows(_blurred(left), warp, 1)
+        self.slope = _slope(smooth, self.back)
+        self.grain = _grain(smooth)
+        self._mean = self.slope @ _slants(self.half) / np.float32(grey.shape[1])
+        self._part = ((self.slope * self.grey) @ _slants(self.half)) / self.energy[:, None]
+        self.spread = self.response(self.slope)
+
+    def pull(self, grey: Float32) -> Float32:
+        """(N, 3) instruments times patches (N, W) of zero mean."""
+        along = np.einsum("nw,nw->n", self.grey, grey)
+        return np.asarray((self.slope * grey) @ _slants(self.half) - self._part * along[:, None])
+
+    def response(self, slope: Float32) -> Float32:
+        """(N, 3, 3) instruments times patches' derivatives by shift and slants, from their slope (N, W)."""
+        whole = ((self.slope * slope) @ _slant_products(self.half)).reshape(-1, 3, 3)
+        sums, along = slope @ _slants(self.half), (self.grey * slope) @ _slants(self.half)
+        return np.asarray(whole - self._mean[:, :, None] * sums[:, None] - self._part[:, :, None] * along[:, None])
+
+
+def _grain(windows: Float32) -> Float32:
+    """Pixels (N,) over which a patch's texture is all of one piece: the area of its correlation's square.
+
+    For a Gaussian correlation, which bends as the mean square of the slopes says; in every second row.
+    """
+    rows = windows[:, 1:-1:2]
+    across, down = rows[:, :, 2:] - rows[:, :, :-2], windows[:, 2::2] - windows[:, :-2:2]
+    power = [np.einsum("nij,nij->n", v, v) / np.float32(4 * v[0].size) for v in (across, down)]
+    return np.asarray(np.pi * rows.var(axis=(1, 2)) / np.sqrt(power[0] * power[1] + np.float32(1e-6)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Sampled:
+    """The right patches at some shift and slant, W pixels: grey (N, W) of zero mean, and their derivative by shift."""
+
+    grey: Float32
+    slope: Float32
+
+    @classmethod
+    def of(cls, windows: Float32, back: Float32) -> _Sampled:
+        """From windows (N, S, S) with a room of one pixel."""
+        grey = windows[:, 1:-1, 1:-1].reshape(len(windows), -1)
+        return cls(grey - grey.mean(axis=1, keepdims=True), _slope(windows, back))
+
+
+def refine(left: Float32, right: Float32, warp: Warp, start_px: Array, limits: Limits | None = None) -> Matches:
+    """Sub-pixel shifts from shifts good to a pixel or so, with the sigma that noise and texture imply."""
+    templates, places, side = _Templates(left, warp), _Places(warp, warp.half + 1), 2 * warp.half + 3
     p = np.concatenate([start_px[:, None], np.zeros((len(start_px), 2))], axis=1)
-    residual, response = np.zeros_like(template), np.zeros((len(p), 5, 5))
-    for _ in range(MAX_ITERATIONS):
-        sampled = spline.sample(*places(warp, p[:, 0], p[:, 1:])).astype(float)  # NaN: the patch left the image
-        gain, level = _brightness(template, sampled)
-        matched = (sampled - level[:, None]) / gain[:, None]
-        residual = matched - template
-        response = instrument.transpose(0, 2, 1) @ _design(warp, *_slopes(matched, warp.half), template)
-        pull = (residual[:, None] @ instrument)[:, 0]
-        step = -(np.linalg.pinv(np.nan_to_num(response)) @ pull[:, :, None])[:, :3, 0]
-        step = np.clip(step, -MAX_STEP_PX, MAX_STEP_PX)
+
+    def improve(sample: Callable[[Float32, Float32], Float32]) -> tuple[Array, Float32, _Sampled]:
+        sampled = _Sampled.of(sample(*places.at(p)).reshape(-1, side, side), templates.back)
+        response = templates.response(sampled.slope)
+        step = -np.linalg.solve(_regular(response), templates.pull(sampled.grey)[:, :, None])[:, :, 0]
+        return np.clip(step, -MAX_STEP_PX, MAX_STEP_PX), response, sampled
+
+    for _ in range(ROUGH_STEPS):
+        step, _, _ = improve(lambda x, y: linear(right, x, y))
         p = p + step
-        if not np.nanmax(np.abs(step), initial=0.0) >= SETTLED_PX:
+        if np.abs(step[:, 0]).max(initial=0.0) < CLOSE_PX:
             break
-    return _judge(template, residual, instrument, response, p, start_px)
+    coefficients = spline_coefficients(right)
+    for _ in range(FINE_STEPS):
+        step, response, sampled = improve(lambda x, y: cubic(coefficients, x, y))
+        p = p + step
+        if np.abs(step[:, 0]).max(initial=0.0) < CLOSE_PX:
+            break
+    gain = np.clip(np.einsum("nw,nw->n", sampled.grey, templates.grey) / templates.energy, 0.2, 5.0)[:, None]
+    residual = (sampled.grey + sampled.slope * (step.astype(np.float32) @ _slants(warp.half).T)) / gain
+    residual -= templates.grey
+    x, y = places.at(p)
+    outside = (x.min(axis=1) < 1) | (y.min(axis=1) < 1)
+    outside |= (x.max(axis=1) > right.shape[1] - 2) | (y.max(axis=1) > right.shape[0] - 2)
+    response /= gain[:, :, None]
+    return _judge(templates, residual, response, p, np.abs(p[:, 0] - start_px), outside, (x, y), limits or Limits())
 
 
-def _design(warp: Warp, gx: Array, gy: Array, template: Array) -> Array:
-    """Derivatives (N, W, 5) of a patch by shift, the two slants, gain and level."""
-    back = np.linalg.inv(warp.bend[:, :, :2]) @ warp.along[:, :, None]
-    slope = gx * back[:, 0] + gy * back[:, 1]  # for a step along the epipolar direction of the right image
-    dx, dy = offsets(warp.half)
-    centred = template - template.mean(axis=1, keepdims=True)
-    return np.stack([slope, slope * dx / warp.half, slope * dy / warp.half, centred, np.ones_like(template)], axis=2)
+def _regular(response: Float32) -> Float32:
+    """The same, but not singular where a patch is even."""
+    scale = np.trace(response, axis1=1, axis2=2)
+    return np.asarray(response + (1e-6 * np.abs(scale) + 1e-6)[:, None, None] * np.eye(3, dtype=np.float32))
 
 
-def _slopes(patches: Array, half: int) -> tuple[Array, Array]:
-    """x, y derivatives (N, W) of patches, by differences of the fourth order."""
-    side = 2 * half + 1
-    square = np.pad(patches.reshape(-1, side, side), ((0, 0), (2, 2), (2, 2)), mode="edge")
-    inner = slice(2, -2)
-
-    def difference(axis: int) -> Array:
-        def moved(by: int) -> Array:
-            index = [slice(None), inner, inner]
-            index[axis] = slice(2 + by, by - 2 or None)
-            return np.asarray(square[tuple(index)])
-
-        return ((8 * (moved(1) - moved(-1)) - (moved(2) - moved(-2))) / 12).reshape(patches.shape)
-
-    return difference(2), difference(1)
+def _thinned(x: Float32, y: Float32) -> Array:
+    """How much of white noise's variance interpolation leaves (N,), by the fractions of a few of the pixels."""
+    left = np.ones(len(x))
+    for t in (x[:, ::37], y[:, ::37]):
+        f = t - np.floor(t)
+        g = f * (1 - f)
+        left *= 1 - (4.31 * g * g - 0.11 * g).mean(axis=1)  # a fit to the cubic spline's sum of squared weights
+    return left
 
 
-def _brightness(template: Array, sampled: Array) -> tuple[Array, Array]:
-    """Gain and level that take the template to the sampled patch (N,)."""
-    t = template - template.mean(axis=1, keepdims=True)
-    s = sampled - sampled.mean(axis=1, keepdims=True)
-    gain = np.clip(np.einsum("nw,nw->n", t, s) / (np.einsum("nw,nw->n", t, t) + 1e-9), 0.2, 5.0)
-    return gain, sampled.mean(axis=1) - gain * template.mean(axis=1)
+def _judge(
+    template: _Templates,
+    residual: Float32,
+    response: Float32,
+    p: Array,
+    run_px: Array,
+    outside: NDArray[np.bool_],
+    places: tuple[Float32, Float32],
+    limits: Limits,
+) -> Matches:
+    """Sigma of the shift by the sandwich rule, and the verdict."""
+    width = residual.shape[1]
+    variance = np.einsum("nw,nw->n", residual, residual) / (width - 5)
+    dense = 2 / (1 + _thinned(*places))  # the noise at the low frequencies that matter, over that of a pixel
+    noise = variance * dense
+    spread = template.spread
+    smooth = ~(response[:, 0, 0] > limits.signal * spread[:, 0, 0])
+    inverse = np.linalg.inv(_regular(np.where(smooth[:, None, None], np.eye(3, dtype=np.float32), response)))
+    sigma = np.sqrt(noise * np.einsum("ni,nij,nj->n", inverse[:, 0], spread, inverse[:, 0]).clip(0))
+    texture = template.energy / width
+    correlation = np.sqrt(np.clip(1 - variance / (texture + variance), 0, 1))
+    verdict = np.zeros(len(p), np.int8)
+    chance = (1 - np.minimum(correlation, 0.9999) ** 2) ** (0.5 * np.maximum(width / (template.grain + 0.1) - 2, 0))
+    for kind, wrong in (
+        (Verdict.COVERED, _parts(template, residual, dense) > limits.parts),
+        (Verdict.DIFFERENT, (chance > limits.chance) | (correlation < limits.correlation)),
+        (Verdict.SMOOTH, smooth | (sigma > limits.sigma_px)),
+        (Verdict.RAN_AWAY, (run_px > MAX_RUN_PX) | (np.abs(p[:, 1:]).max(axis=1) > MAX_SLANT_PX)),
+        (Verdict.OVER_EXPOSED, template.clipped > limits.clipped),
+        (Verdict.LEFT_THE_IMAGE, outside | ~np.isfinite(p).all(axis=1)),
+    ):
+        verdict[wrong] = kind
+    matched = verdict == Verdict.MATCHED
+    return Matches(np.where(matched, p[:, 0], np.nan), np.where(matched, sigma, np.nan), correlation, verdict)
 
 
-def _judge(template: Array, residual: Array, instrument: Array, response: Array, p: Array, start_px: Array) -> Matches:
-    """Sigma of the shift by the sandwich rule, and NaN for what ran away, left the image or has no texture."""
-    noise = np.einsum("nw,nw->n", residual, residual) / (template.shape[1] - 5)  # of left and right together
-    spread = instrument.transpose(0, 2, 1) @ instrument
-    weak = ~(response[:, 0, 0] > MIN_SIGNAL * spread[:, 0, 0])
-    inverse = np.linalg.pinv(np.where(weak[:, None, None], np.eye(5), response))
-    variance = noise * np.einsum("ni,nij,nj->n", inverse[:, 0], spread, inverse[:, 0])
-    correlation = np.sqrt(np.clip(1 - noise / (template.var(axis=1) + noise + 1e-9), 0, 1))
-    lost = weak | ~np.isfinite(variance) | (np.abs(p[:, 0] - start_px) > MAX_RUN_PX)
-    lost |= np.abs(p[:, 1:]).max(axis=1) > MAX_SLANT_PX
-    shift = np.where(lost, np.nan, p[:, 0])
-    return Matches(shift, np.where(lost, np.nan, np.sqrt(np.abs(variance))), correlation)
+def _parts(template: _Templates, residual: Float32, dense: Array) -> Array:
+    """How many sigmas (N,) the strongest of nine parts of a patch would pull the shift its own way.
+
+    Where something covers a part of the patch in one of the images, that part pulls and the others hold against it.
+    The noise is that of the middle one of the parts: what covers the others does not add to it.
+    """
+    ninths = _ninths(2 * template.half + 1)
+    pull, scale = (template.slope * residual) @ ninths, (template.slope**2) @ ninths
+    noise = np.median((residual * residual) @ ninths / ninths.sum(axis=0), axis=1) * dense
+    noise += ROUNDED + UNLIKE**2 * template.energy / np.float32(residual.shape[1])
+    return np.asarray((np.abs(pull) / np.sqrt(scale * noise[:, None] + np.float32(1e-9))).max(axis=1), float)

@@ -1,0 +1,89 @@
+"""Which patches of the left image are matched, and how a predicted shape places and bends them in the right."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from leadline.ranging.images import Float32, Region
+from leadline.ranging.patches import Warp, bend_terms
+from leadline.rig import Rig
+from leadline.samples import Array
+
+LengthAt = Callable[[Array, Array], Array]  # origins, directions of rays (N, 3) -> lengths to the shape (N,)
+
+CHOICES = 3  # places tried along each side of a cell
+BEYOND = 1.01  # a length this much greater shows which way the epipolar curve goes
+MIN_SCALE, MAX_SCALE = 0.2, 5.0  # of a patch's area between the two images
+_CORNERS = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]), axis=-1).reshape(-1, 2)
+_MIDDLE = 4
+_FIT = np.linalg.pinv(np.vstack([bend_terms(*_CORNERS.T), np.ones(9)])).T  # (6, 9)
+
+
+def centres(region: Region, low_px: Array, high_px: Array, half: int, count: int, round_inset: float | None) -> Array:
+    """About ``count`` whole-pixel centres (N, 2), one in each cell of a grid, where its texture is richest.
+
+    low_px, high_px: corners of the box in the region. round_inset: for a round target, the part of the box's ellipse
+    that centres may lie in; None for all of the box.
+    """
+    size = high_px - low_px
+    step = max(float(np.sqrt(np.prod(size) / count)), half)
+    cells = np.maximum(np.round((size - half) / step), 1).astype(int)
+    lines = [
+        np.round(low_px[i] + size[i] * (np.arange(CHOICES * n) + 0.5) / (CHOICES * n)).astype(int)
+        for i, n in enumerate(cells)
+    ]
+    limits = [(half + 1, region.grey.shape[1 - i] - half - 2) for i in range(2)]
+    inside = [(line >= least) & (line <= most) for line, (least, most) in zip(lines, limits, strict=True)]
+    u, v = (np.clip(line, 0, region.grey.shape[1 - i] - 1) for i, line in enumerate(lines))
+    value = np.where(inside[1][:, None] & inside[0], _texture(region.grey, half)[v[:, None], u], -1.0)
+    if round_inset is not None:
+        x, y = ((line - (low_px[i] + high_px[i]) / 2) / (size[i] / 2) for i, line in enumerate(lines))
+        value[x**2 + y[:, None] ** 2 > round_inset**2] = -1.0
+    columns, rows = cells
+    split = value.reshape(rows, CHOICES, columns, CHOICES).transpose(0, 2, 1, 3).reshape(rows * columns, -1)
+    best = split.argmax(axis=1)
+    cell = np.flatnonzero(split[np.arange(len(split)), best] >= 0)
+    row, column = cell // columns * CHOICES + best[cell] // CHOICES, cell % columns * CHOICES + best[cell] % CHOICES
+    return np.stack([u[column], v[row]], axis=1).astype(float)
+
+
+def _texture(image: Float32, half: int) -> Float32:
+    """Mean square of the slope along rows over a patch at each pixel (H, W); ends are not exact."""
+    slope = cv2.Sobel(image, cv2.CV_32F, 1, 0, ksize=1)
+    return np.asarray(cv2.sqrBoxFilter(slope, cv2.CV_32F, (2 * half + 1, 2 * half + 1)), np.float32)
+
+
+def predicted(rig: Rig, region: Region, centre_px: Array, half: int, length_at: LengthAt) -> tuple[Warp, Array]:
+    """Place and bend of each patch in the right image, and the lengths (N,) along the rays of their centres.
+
+    The warp is in pixels of the whole image at the region's level; NaN where the shape is not met or not seen. From
+    nine rays through each patch to the predicted shape, and a tenth point farther along the middle one.
+    """
+    count = len(centre_px)
+    q_px = region.to_full((centre_px[:, None] + half * _CORNERS).reshape(-1, 2))
+    origins, directions = rig.rays(q_px, camera="left")
+    length = length_at(origins, directions)
+    p_m = origins + length[:, None] * directions
+    middle = slice(_MIDDLE, None, 9)
+    farther = origins[middle] + BEYOND * length[middle, None] * directions[middle]
+    seen = (rig.project_one(np.concatenate([p_m, farther]), "right") + 0.5) / 2**region.level - 0.5
+    patches, beyond = seen[: 9 * count].reshape(-1, 9, 2), seen[9 * count :]
+    along = patches[:, _MIDDLE] - beyond  # nearer, that is: any sign will do, if it is the same for all
+    with np.errstate(invalid="ignore"):
+        along /= np.sqrt(np.einsum("ni,ni->n", along, along))[:, None]
+    scale = np.array([half, half, half**2, half**2, half**2])
+    bend = patches.transpose(0, 2, 1) @ _FIT.T[:, :5] / scale
+    return Warp(centre_px, half, patches[:, _MIDDLE].copy(), bend, along), length[middle]
+
+
+def visible(warp: Warp, width: int, height: int, margin: float) -> NDArray[np.bool_]:
+    """Whether patches (N,) lie well inside the right image and are not squeezed beyond recognition."""
+    (a, b), (c, d) = warp.bend[:, 0, :2].T, warp.bend[:, 1, :2].T
+    area, at = a * d - b * c, warp.expected_px
+    with np.errstate(invalid="ignore"):
+        keep = (area > MIN_SCALE) & (area < MAX_SCALE) & np.isfinite(warp.along).all(axis=1)
+        return np.asarray(keep & ((at > margin) & (at < [width - margin, height - margin])).all(axis=1))
