@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 
 from leadline import cli_calibrate, cli_evaluate, cli_plan
+from leadline.cli_progress import progress
 from leadline.errors import InputError
 
 if TYPE_CHECKING:
     from leadline.config import Config
-    from leadline.pipeline.loop import Progress as Tick
     from leadline.pipeline.loop import Report
 
 # Typer carries its own click in newer versions: the base of its errors is found, not imported.
@@ -101,7 +99,7 @@ def demo(
     from leadline.cli_tables import beside  # noqa: PLC0415  heavy imports wait until a command needs them
     from leadline.pipeline.demo import demo as run_demo  # noqa: PLC0415
 
-    with _progress("simulating and locating") as tick:
+    with progress("simulating and locating") as tick:
         report = run_demo(out, tick, seed=seed)
     _print_report(report, detailed=False)
     Console().print(beside(report.errors["fused"], report.errors["paper"]))
@@ -151,7 +149,7 @@ def run(
         real_time=real_time,
         seed=seed,
     )
-    with _progress("locating") as tick:
+    with progress("locating") as tick:
         report = run_job(job, out, record=record, progress=tick)
     _print_report(report, detailed=True)
     _print_files(report)
@@ -167,7 +165,7 @@ def sim(
     """Write a simulated dive with its truth."""
     from leadline.pipeline.simulate import write_simulated_dive  # noqa: PLC0415
 
-    with _progress("rendering") as tick:
+    with progress("rendering") as tick:
         frames = write_simulated_dive(scenario, out, seed=seed, images=images.value, progress=tick)
     typer.echo(f"{frames} frames: {out}")
 
@@ -185,7 +183,7 @@ def detect(
 
     c = _config(config).detector
     detector = Detector(model, score=c.score, nms_iou=c.nms_iou, threads=c.threads)
-    with _progress("detecting") as tick:
+    with progress("detecting") as tick:
         report = detect_images(source, out, detector, tick)
     typer.echo(f"{report.detections} targets in {report.with_target} of {report.images} images: {report.results}")
     if report.skipped:
@@ -228,13 +226,3 @@ def _print_report(report: Report, *, detailed: bool) -> None:
 def _print_files(report: Report) -> None:
     for file in report.files:
         typer.echo(str(file))
-
-
-@contextmanager
-def _progress(what: str) -> Iterator[Tick]:
-    """A bar on stderr, where that is a terminal."""
-    console = Console(stderr=True)
-    columns = (SpinnerColumn(), TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
-        task = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
