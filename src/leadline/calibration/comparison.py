@@ -25,7 +25,7 @@ from leadline.samples import Array
 
 DISTANCES_M = (0.2, 0.5, 1.0, 1.5, 2.2)
 PLACES = ("centre", "half field", "corner")
-_MARGIN = 0.1  # of the image's width and height, in from its corner
+MARGIN = 0.1  # of the image's width and height: what is called the corner is so far inside of it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,14 +40,15 @@ class ModelError:
     total_mm: Array
 
 
-def field_points(rig: Rig, distances_m: Sequence[float] = DISTANCES_M) -> Array:
-    """Points (D, 3, 3), left frame, m: by distance; centre, halfway and near the corner of what both cameras see.
+def field_points(rig: Rig, distances_m: Sequence[float] = DISTANCES_M, *, margin: float = MARGIN) -> Array:
+    """Points (D, 3, 3), left frame, m: by distance; centre, halfway and the corner of what both cameras see, ``margin``
+    (of the image's width and height) inside its border.
 
     NaN where the cameras' fields do not meet.
     """
     out = np.full((len(distances_m), 3, 3), np.nan)
     for i, z in enumerate(distances_m):
-        shared = _shared_corner(rig, z)
+        shared = _shared_corner(rig, z, margin)
         if shared is None:
             continue
         centre, corner = shared
@@ -126,17 +127,17 @@ def _error(name: str, model: Rig, rig: Rig, points_m: Array) -> ModelError:
     return ModelError(name, off[:, 2].reshape(shape), np.linalg.norm(off, axis=1).reshape(shape))
 
 
-def _shared_corner(rig: Rig, z_m: float) -> tuple[Array, Array] | None:
+def _shared_corner(rig: Rig, z_m: float, share: float) -> tuple[Array, Array] | None:
     """Left pixels of the middle and of the upper right corner of the field that both cameras share at a depth."""
     width, height = rig.left.width, rig.left.height
-    margin = _MARGIN * width
+    margin = share * width
     columns, row = np.linspace(margin, width - margin, 200), (height - 1) / 2
     points = _at_depth(rig, np.stack([columns, np.full_like(columns, row)], axis=1), z_m)
     u = rig.project(points)[1][:, 0]
     shared = columns[(u > margin) & (u < width - margin)]
     if not len(shared):
         return None
-    return np.array([shared.mean(), row]), np.array([shared.max(), _MARGIN * height])
+    return np.array([shared.mean(), row]), np.array([shared.max(), share * height])
 
 
 def _at_depth(rig: Rig, left_px: Array, z_m: float) -> Array:
