@@ -66,9 +66,9 @@ class Scene:
     def warp(self, half: int, believed: Array) -> Warp:
         """Where a prediction has the patches."""
         flat = _Whole(self.left_corner_px)
-        warp, _ = predicted(
+        warp = predicted(
             self.rig, flat, self.centres_px, half, lambda o, d: self.surface.beam_length(believed, o, d)[0]
-        )
+        ).warp
         return Warp(warp.centre_px, half, warp.expected_px - self.right_corner_px, warp.bend, warp.along)
 
 

@@ -18,6 +18,7 @@ from leadline.cli import main
 from leadline.geometry import Camera, Pose
 from leadline.localizer import Localizer
 from leadline.ranging import stereo
+from leadline.ranging.layout import Prediction
 from leadline.ranging.shape_fit import Points
 from leadline.ranging.stereo import triangulated
 from leadline.ranging.surface_fit import fit_surface
@@ -59,9 +60,11 @@ class Recorder:
     right_px: Array
     points: Points
 
-    def __call__(self, rig: Rig, left_px: Array, right_px: Array, start_m: Array, sigma_px: Array) -> Points:
-        self.left_px, self.right_px = left_px, right_px
-        self.points = triangulated(rig, left_px, right_px, start_m, sigma_px)
+    def __call__(self, rig: Rig, expected: Prediction, level: int, shift_px: Array, sigma_px: Array) -> Points:
+        self.points = triangulated(rig, expected, level, shift_px, sigma_px)
+        self.left_px = rig.project(self.points.p_m)[0]
+        right_px = expected.warp.expected_px + shift_px[:, None] * expected.warp.along
+        self.right_px = (right_px + 0.5) * 2**level - 0.5
         return self.points
 
 

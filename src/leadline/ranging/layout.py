@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -57,11 +58,28 @@ def _texture(image: Float32, half: int) -> Float32:
     return np.asarray(cv2.sqrBoxFilter(slope, cv2.CV_32F, (2 * half + 1, 2 * half + 1)), np.float32)
 
 
-def predicted(rig: Rig, region: Region, centre_px: Array, half: int, length_at: LengthAt) -> tuple[Warp, Array]:
-    """Place and bend of each patch in the right image, and the lengths (N,) along the rays of their centres.
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """N patches: where they are expected, at the region's level in the whole right image, and their middle rays.
 
-    The warp is in pixels of the whole image at the region's level; NaN where the shape is not met or not seen. From
-    nine rays through each patch to the predicted shape, and a tenth point farther along the middle one.
+    Pixels of the right image run almost evenly with 1 / length along a ray: ``rate_px_m`` (N,), at the level.
+    """
+
+    warp: Warp
+    origins_m: Array
+    directions: Array
+    length_m: Array
+    rate_px_m: Array
+
+    def pick(self, keep: NDArray[np.bool_]) -> Prediction:
+        rest = (self.origins_m, self.directions, self.length_m, self.rate_px_m)
+        return Prediction(self.warp.pick(keep), *(values[keep] for values in rest))
+
+
+def predicted(rig: Rig, region: Region, centre_px: Array, half: int, length_at: LengthAt) -> Prediction:
+    """Of a shape; NaN where it is not met or not seen.
+
+    From nine rays through each patch to the shape, and a tenth point farther along the middle one.
     """
     count = len(centre_px)
     q_px = region.to_full((centre_px[:, None] + half * _CORNERS).reshape(-1, 2))
@@ -71,13 +89,16 @@ def predicted(rig: Rig, region: Region, centre_px: Array, half: int, length_at: 
     middle = slice(_MIDDLE, None, 9)
     farther = origins[middle] + BEYOND * length[middle, None] * directions[middle]
     seen = (rig.project_one(np.concatenate([p_m, farther]), "right") + 0.5) / 2**region.level - 0.5
-    patches, beyond = seen[: 9 * count].reshape(-1, 9, 2), seen[9 * count :]
-    along = patches[:, _MIDDLE] - beyond  # nearer, that is: any sign will do, if it is the same for all
-    with np.errstate(invalid="ignore"):
-        along /= np.sqrt(np.einsum("ni,ni->n", along, along))[:, None]
+    patches = seen[: 9 * count].reshape(-1, 9, 2)
+    along = patches[:, _MIDDLE] - seen[9 * count :]
+    moved_px = np.sqrt(np.einsum("ni,ni->n", along, along))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        along /= moved_px[:, None]
     scale = np.array([half, half, half**2, half**2, half**2])
     bend = patches.transpose(0, 2, 1) @ _FIT.T[:, :5] / scale
-    return Warp(centre_px, half, patches[:, _MIDDLE].copy(), bend, along), length[middle]
+    warp = Warp(centre_px, half, patches[:, _MIDDLE].copy(), bend, along)
+    rate = moved_px * length[middle] / (1 - 1 / BEYOND)
+    return Prediction(warp, origins[middle], directions[middle], length[middle], rate)
 
 
 def visible(warp: Warp, width: int, height: int, margin: float) -> NDArray[np.bool_]:

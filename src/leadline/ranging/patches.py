@@ -26,6 +26,7 @@ ROUGH_STEPS = 3  # with linear sampling, until it is as close as that can tell
 CLOSE_PX = 0.15
 FINE_STEPS = 2  # with exact sampling; one is enough from CLOSE_PX
 MAX_STEP_PX = 0.7
+STRAGGLERS = 0.1
 MAX_RUN_PX = 2.0  # from the search, which cannot be wrong by more
 MAX_SLANT_PX = 4.0
 ROUNDED, UNLIKE = 1 / 12, 0.02  # least residual: whole grey levels; interpolation, as a part of the texture
@@ -273,13 +274,13 @@ def refine(left: Float32, right: Float32, warp: Warp, start_px: Array, limits: L
     for _ in range(ROUGH_STEPS):
         step, _, _ = improve(lambda x, y: linear(right, x, y))
         p = p + step
-        if np.abs(step[:, 0]).max(initial=0.0) < CLOSE_PX:
+        if _mostly_close(step):
             break
     coefficients = spline_coefficients(right)
     for _ in range(FINE_STEPS):
         step, response, sampled = improve(lambda x, y: cubic(coefficients, x, y))
         p = p + step
-        if np.abs(step[:, 0]).max(initial=0.0) < CLOSE_PX:
+        if _mostly_close(step):
             break
     gain = np.clip(np.einsum("nw,nw->n", sampled.grey, templates.grey) / templates.energy, 0.2, 5.0)[:, None]
     residual = (sampled.grey + sampled.slope * (step.astype(np.float32) @ _slants(warp.half).T)) / gain
@@ -288,7 +289,13 @@ def refine(left: Float32, right: Float32, warp: Warp, start_px: Array, limits: L
     outside = (x.min(axis=1) < 1) | (y.min(axis=1) < 1)
     outside |= (x.max(axis=1) > right.shape[1] - 2) | (y.max(axis=1) > right.shape[0] - 2)
     response /= gain[:, :, None]
-    return _judge(templates, residual, response, p, np.abs(p[:, 0] - start_px), outside, (x, y), limits or Limits())
+    lost = (np.abs(p[:, 0] - start_px) > MAX_RUN_PX) | (np.abs(step[:, 0]) > CLOSE_PX)
+    return _judge(templates, residual, response, p, lost, outside, (x, y), limits or Limits())
+
+
+def _mostly_close(step: Array) -> bool:
+    """All but a few patches, which have nothing to settle on."""
+    return bool((np.abs(step[:, 0]) > CLOSE_PX).mean() < STRAGGLERS) if len(step) else True
 
 
 def _regular(response: Float32) -> Float32:
@@ -312,7 +319,7 @@ def _judge(
     residual: Float32,
     response: Float32,
     p: Array,
-    run_px: Array,
+    lost: NDArray[np.bool_],
     outside: NDArray[np.bool_],
     places: tuple[Float32, Float32],
     limits: Limits,
@@ -334,7 +341,7 @@ def _judge(
         (Verdict.COVERED, _parts(template, residual, dense) > limits.parts),
         (Verdict.DIFFERENT, (chance > limits.chance) | (correlation < limits.correlation)),
         (Verdict.SMOOTH, smooth | (sigma > limits.sigma_px)),
-        (Verdict.RAN_AWAY, (run_px > MAX_RUN_PX) | (np.abs(p[:, 1:]).max(axis=1) > MAX_SLANT_PX)),
+        (Verdict.RAN_AWAY, lost | (np.abs(p[:, 1:]).max(axis=1) > MAX_SLANT_PX)),
         (Verdict.OVER_EXPOSED, template.clipped > limits.clipped),
         (Verdict.LEFT_THE_IMAGE, outside | ~np.isfinite(p).all(axis=1)),
     ):

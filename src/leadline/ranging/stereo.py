@@ -6,7 +6,7 @@ refined to a hundredth and triangulated, and the shape fitted. Without one, a co
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator
@@ -14,8 +14,8 @@ from scipy.interpolate import RBFInterpolator
 from leadline.config import StereoConfig
 from leadline.ranging.coarse import Box, coarse_points
 from leadline.ranging.images import Region
-from leadline.ranging.layout import LengthAt, centres, predicted, visible
-from leadline.ranging.patches import Limits, Verdict, Warp, refine, search
+from leadline.ranging.layout import LengthAt, Prediction, centres, predicted, visible
+from leadline.ranging.patches import Limits, Verdict, refine, search
 from leadline.ranging.shape_fit import Fit, Points, fit
 from leadline.ranging.surface_fit import fit_surface
 from leadline.rig import Rig
@@ -24,6 +24,7 @@ from leadline.target import Sphere, Surface, Target
 
 ROUND_INSET = 0.9
 MAX_MISFIT = 30.0  # patches this far off their sigmas hold another shape: a pile and the sand behind it
+NEAREST_M = 0.02
 BOX_SIGMA = 0.2  # how well a box tells a ball's size
 FIRST_REACH_PX, NEXT_REACH_PX, MOST_REACH_PX = 3.0, 1.5, 12.0
 AS_PREDICTED_PX = 1.0  # patches that moved less than this need no second look
@@ -178,25 +179,27 @@ class StereoRanger:
     ) -> _Round:
         """Those that cannot be seen, matched or trusted are left out."""
         level = left.level
-        warp, lengths = predicted(pair.rig, left, centre_px, half, length_at)
+        expected = predicted(pair.rig, left, centre_px, half, length_at)
         height, width = (n // 2**level for n in pair.right_image.shape[:2])
-        keep = visible(warp, width, height, 1.5 * half + 4)
+        keep = visible(expected.warp, width, height, 1.5 * half + 4)
         if not keep.any():  # none of none, too
             return _Round(NOTHING, 0.0, np.full(len(keep), Verdict.LEFT_THE_IMAGE))
-        warp, lengths = warp.pick(keep), lengths[keep]
+        expected = expected.pick(keep)
+        at_px = expected.warp.expected_px
         margin = 1.5 * half + reach_px + 6
-        low, high = warp.expected_px.min(axis=0) - margin, warp.expected_px.max(axis=0) + margin
-        right = Region.of(pair.right_image, level, low * 2**level, high * 2**level)
-        local = Warp(warp.centre_px, half, warp.expected_px - right.corner_px, warp.bend, warp.along)
-        found = search(left.grey, right.grey, local, reach_px)
-        matches = refine(left.grey, right.grey, local, found.shift_px, self._limits)
-        verdict = np.where(found.repeated & (matches.verdict == Verdict.MATCHED), Verdict.REPEATED, matches.verdict)
-        good = verdict == Verdict.MATCHED
-        moved = float(np.median(np.abs(matches.shift_px[good]))) if good.any() else 0.0
-        left_px = left.to_full(warp.centre_px[good])
-        right_px = right.to_full(local.expected_px[good] + matches.shift_px[good, None] * warp.along[good])
-        points = triangulated(pair.rig, left_px, right_px, lengths[good], matches.sigma_px[good] * 2**level)
-        return _Round(points, moved, verdict)
+        right = Region.of(
+            pair.right_image, level, (at_px.min(axis=0) - margin) * 2**level, (at_px.max(axis=0) + margin) * 2**level
+        )
+        warp = replace(expected.warp, expected_px=at_px - right.corner_px)
+        found = search(left.grey, right.grey, warp, reach_px)
+        verdict = np.where(found.repeated, Verdict.REPEATED, Verdict.DIFFERENT)
+        alike = ~found.repeated & (found.correlation > self._limits.correlation)
+        matches = refine(left.grey, right.grey, warp.pick(alike), found.shift_px[alike], self._limits)
+        verdict[alike] = matches.verdict
+        good = matches.verdict == Verdict.MATCHED
+        shift_px = matches.shift_px[good]
+        points = triangulated(pair.rig, expected.pick(alike).pick(good), level, shift_px, matches.sigma_px[good])
+        return _Round(points, float(np.median(np.abs(shift_px))) if len(shift_px) else 0.0, verdict)
 
 
 def _why(verdict: Array) -> str:
@@ -205,17 +208,18 @@ def _why(verdict: Array) -> str:
     return WHY[Verdict(int(np.bincount(failed).argmax()))] if len(failed) else "too little texture"
 
 
-def triangulated(rig: Rig, left_px: Array, right_px: Array, start_m: Array, sigma_px: Array) -> Points:
-    """Lengths along the left rays: the left pixel is exact by definition, all the error is in the right one."""
-    if not len(left_px):
+def triangulated(rig: Rig, expected: Prediction, level: int, shift_px: Array, sigma_px: Array) -> Points:
+    """Lengths along the left rays, of patches that are shifted from where they were expected; pixels of the level.
+
+    The left pixel is exact by definition, all the error is in the right one.
+    """
+    if not len(shift_px):
         return NOTHING
-    origins, directions = rig.rays(left_px, camera="left")
-    lengths = start_m
-    for _ in range(2):
-        at_px, jacobian = rig.project_with_jacobian(origins + lengths[:, None] * directions, camera="right")
-        slope = (jacobian @ directions[:, :, None])[:, :, 0]
-        power = np.einsum("ni,ni->n", slope, slope)
-        step = np.einsum("ni,ni->n", slope, right_px - at_px) / power
-        lengths = lengths / np.maximum(1 - step / lengths, 0.1)  # Newton on 1 / length, in which the pixel is linear
-    good = np.isfinite(lengths) & (lengths > 0.02) & (power > 0)
-    return Points(origins, directions, lengths, sigma_px / np.sqrt(power)).pick(good)
+    origins, directions, along = expected.origins_m, expected.directions, expected.warp.along
+    inverse = 1 / expected.length_m + shift_px / expected.rate_px_m
+    at_px = rig.project_one(origins + directions / inverse[:, None], "right")
+    target_px = (expected.warp.expected_px + shift_px[:, None] * along + 0.5) * 2**level - 0.5
+    inverse += np.einsum("ni,ni->n", along, target_px - at_px) / 2**level / expected.rate_px_m  # not quite even
+    good = np.isfinite(inverse) & (inverse > 0) & (inverse < 1 / NEAREST_M)
+    points = Points(origins, directions, 1 / inverse, sigma_px / expected.rate_px_m / inverse**2)
+    return points if good.all() else points.pick(good)
