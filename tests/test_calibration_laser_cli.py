@@ -74,7 +74,9 @@ def test_air_then_water_in_one_file(dives: Path, tmp_path: Path, capsys: pytest.
         page = (tmp_path / f"rig-{step}.html").read_text()
         assert "laser.range_scale" in page
         assert "left_02.png" in page
-        assert page.count("<svg") == (3 if step == "laser" else 4)  # readings, two images of spots, f'
+        assert page.count("<svg") == (
+            5 if step == "laser" else 6
+        )  # readings, two images, the point's sigma, limits, f'
     assert "water.group_index" in found.covariance.names
 
 

@@ -6,9 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from leadline.calibration.board import Board
 from leadline.calibration.cameras import CameraCalibration
+from leadline.calibration.group_index import GROUP
+from leadline.calibration.laser import LASER
 from leadline.calibration.problem import Problem, Sight
 from leadline.calibration.views import SIDES
 from leadline.geometry import Pose
@@ -23,6 +26,14 @@ GROUPS = {
     "the port": ("port.",),
     "the water's index": ("water.index",),
 }
+LASER_GROUPS = {
+    "the beam's direction": ("laser.direction",),
+    "its origin and the range's offset": ("laser.origin_m", "laser.range_offset_m"),
+    "the range's scale": ("laser.range_scale",),
+    "the water's group index": ("water.group_index",),
+}
+BEAM = (*LASER, GROUP)
+"""As in ``geometry.beam.BEAM_PARAMETERS``."""
 EXTRA = 6
 """Images that a suggestion asks for."""
 _TILTS = ((0.0, 0.0), (0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5), (0.35, 0.35))
@@ -56,16 +67,32 @@ class Suggestion:
 def limits(rig: Rig, points_m: Array) -> dict[str, float]:
     """The share of the depth's variance, mean over points (N, 3), that goes once a group of parameters is known."""
     names = rig.covariance.names
-    sensitivity = point_sensitivity(rig, points_m, names)[:, 2]
-    cov = rig.covariance.matrix
-    total = np.einsum("nj,jk,nk->n", sensitivity, cov, sensitivity)
-    out = {}
-    for group, starts in GROUPS.items():
-        known = np.array([name.startswith(starts) for name in names])
+    return _shares(point_sensitivity(rig, points_m, names)[:, 2:], names, rig.covariance.matrix, GROUPS)
+
+
+def laser_limits(rig: Rig, lengths_m: Sequence[float]) -> dict[str, float]:
+    """The same of the lit point's variance, mean over lengths of the beam; empty for a laser that is exact."""
+    beam = rig.laser
+    if beam is None or not set(BEAM) & set(rig.covariance.names):
+        return {}
+    sensitivity = np.array([beam.point_jacobian(beam.raw_m(length)) for length in lengths_m])
+    return _shares(sensitivity, BEAM, rig.covariance.of(BEAM), LASER_GROUPS)
+
+
+def _shares(
+    sensitivity: Array, names: Sequence[str], cov: Array, groups: dict[str, tuple[str, ...]]
+) -> dict[str, float]:
+    """By group, the share of the variance of what moves by ``sensitivity`` (N, d, k) that goes once it is known."""
+    total, out = _variance(sensitivity, cov), {}
+    for group, starts in groups.items():
+        known = np.array([name.startswith(starts) for name in names]) & (np.diag(cov) > 0)
         if known.any():
-            left = _given(cov, known)
-            out[group] = float(1 - np.mean(np.einsum("nj,jk,nk->n", sensitivity, left, sensitivity) / total))
+            out[group] = float(1 - np.mean(_variance(sensitivity, _given(cov, known)) / total))
     return out
+
+
+def _variance(sensitivity: Array, cov: Array) -> Array:
+    return np.asarray(np.einsum("ndj,jk,ndk->n", sensitivity, cov, sensitivity))
 
 
 def suggestion(calibration: CameraCalibration, points_m: Array) -> Suggestion | None:
@@ -138,12 +165,14 @@ def _inverse(information: Array) -> Array:
     return out
 
 
-def _given(cov: Array, known: Array) -> Array:
+def _given(cov: Array, known: NDArray[np.bool_]) -> Array:
     """The covariance once some parameters are known (Schur complement); theirs is 0."""
-    free = ~known.astype(bool)
+    free = ~known
     out = np.zeros_like(cov)
-    cross = cov[np.ix_(free, ~free)]
-    out[np.ix_(free, free)] = cov[np.ix_(free, free)] - cross @ np.linalg.solve(cov[np.ix_(~free, ~free)], cross.T)
+    scale = 1 / np.sqrt(np.diag(cov)[~free])
+    cross = cov[np.ix_(free, ~free)] * scale
+    inverse = np.linalg.pinv(cov[np.ix_(~free, ~free)] * np.outer(scale, scale), rcond=1e-10, hermitian=True)
+    out[np.ix_(free, free)] = cov[np.ix_(free, free)] - cross @ inverse @ cross.T
     return out
 
 

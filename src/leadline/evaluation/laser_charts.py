@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from leadline.calibration.beam_fit import BeamFit
+from leadline.calibration.information import laser_limits
 from leadline.calibration.laser_board import BoardBeamFit
 from leadline.calibration.refine import Refinement, depth_sigmas
 from leadline.calibration.virtual_focal import VirtualFocal
 from leadline.evaluation.laser_report import Figure
-from leadline.evaluation.svg import INK, Curve, Marks, arrows, chart, log_chart
+from leadline.evaluation.svg import INK, Curve, Marks, arrows, bars, chart, log_chart
+from leadline.ranging.calibration_error import beam_cov
+from leadline.rig import Rig
 from leadline.samples import Array
 
 _SIZE = (900, 300)
@@ -44,6 +47,26 @@ def board_figures(fit: BoardBeamFit) -> list[Figure]:
     drawing = chart(marks, "reading, m", "off the fit, mm", "readings off the fit", _SIZE)
     note = "Measured minus predicted. Hollow: predicted by a fit that has not seen the reading."
     return [Figure("Readings", drawing, note)]
+
+
+def laser_figures(rig: Rig) -> list[Figure]:
+    """What the calibration leaves uncertain of the laser's point, by distance, and which part of it that is."""
+    beam = rig.laser
+    assert beam is not None
+    x, d = np.array(_DISTANCES_M), beam.direction
+    cov = [beam_cov(rig, beam.raw_m(length)) for length in x]
+    along = np.array([np.sqrt(d @ c @ d) for c in cov])
+    across = np.array([np.sqrt(max(np.trace(c) - d @ c @ d, 0.0)) for c in cov])
+    curves = [Curve("along the beam", x, 1e3 * along, INK["water"]), Curve("across it", x, 1e3 * across, INK["air"])]
+    band = chart([], "distance along the beam, m", "sigma, mm", "the laser point's uncertainty", _SIZE, curves=curves)
+    note = "One standard deviation from the calibration alone; each reading adds its own noise."
+    figures = [Figure("The laser's point", band, note)]
+    shares = sorted(laser_limits(rig, _DISTANCES_M).items(), key=lambda item: -item[1])
+    if shares:
+        drawing = bars([(name, 100 * share, INK["water"]) for name, share in shares], 640, "%", "what limits it")
+        note = "How much of that variance would go if this part were known exactly (parts overlap)."
+        figures.append(Figure("What limits it", drawing, note))
+    return figures
 
 
 def focal_figure(focal: VirtualFocal) -> Figure:

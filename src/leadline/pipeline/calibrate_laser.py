@@ -28,7 +28,13 @@ from leadline.calibration.refine import DISTANCES_M, PortGuess, Refinement, dept
 from leadline.calibration.views import BoardView
 from leadline.calibration.virtual_focal import VirtualFocal, virtual_focal
 from leadline.errors import InputError
-from leadline.evaluation.laser_charts import board_figures, focal_figure, refinement_figure, station_figures
+from leadline.evaluation.laser_charts import (
+    board_figures,
+    focal_figure,
+    laser_figures,
+    refinement_figure,
+    station_figures,
+)
 from leadline.evaluation.laser_report import Figure, Table, write_laser_page
 from leadline.pipeline.build import parse_water_state
 from leadline.pipeline.calibrate_cameras import now
@@ -161,7 +167,8 @@ def _fitting(source: Source, rig: Rig, tick: Tick) -> Iterator[Sample]:
 def _write_page(report: LaserReport, out: Path, step: str, title: str) -> None:
     """rig.yaml -> rig-laser.html: the cameras' page keeps its own name."""
     page = out.with_name(f"{out.stem}-{step}.html")
-    write_laser_page(page, title, report.lines, report.tables, report.figures, NEXT[step])
+    figures = (*report.figures, *laser_figures(report.rig))
+    write_laser_page(page, title, report.lines, report.tables, figures, NEXT[step])
 
 
 def _save(rig: Rig, out: Path) -> None:
