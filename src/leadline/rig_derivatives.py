@@ -41,6 +41,11 @@ class Medium(StrEnum):
     AIR_BEHIND_PORT = "air behind the port"
 
 
+def medium_of(rig: Rig) -> Medium:
+    """Where a rig is as it stands: without a port in air, else in what its port says is outside."""
+    return Medium.AIR if rig.port is None else Medium.WATER
+
+
 def port_for(rig: Rig, medium: Medium) -> LayeredPort | None:
     """The port that the light came through, in the left frame. ValueError where the rig has none and needs one."""
     if medium is Medium.AIR:
@@ -215,7 +220,7 @@ def point_sensitivity(rig: Rig, points_m: Array, names: Sequence[str]) -> Array:
     by S e, S = -(J^T J)^-1 J^T dq/de with J = dq/dpoint of both cameras (implicit function theorem at the least-squares
     triangulation).
     """
-    medium = Medium.AIR if rig.port is None else Medium.WATER
+    medium = medium_of(rig)
     by_point, by_names = list[Array](), list[Array]()
     seen = np.ones(len(points_m), dtype=bool)
     for side in SIDES:

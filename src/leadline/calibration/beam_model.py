@@ -12,7 +12,7 @@ import numpy as np
 
 from leadline.geometry import Beam
 from leadline.rig import Rig
-from leadline.rig_derivatives import SIDES, Medium, by_parameters, project
+from leadline.rig_derivatives import SIDES, by_parameters, medium_of, project
 from leadline.samples import Array
 
 
@@ -50,11 +50,6 @@ def beam_of(rig: Rig) -> Beam:
     if rig.laser is None:
         raise ValueError("the rig has no laser")
     return rig.laser
-
-
-def medium_of(rig: Rig) -> Medium:
-    """What ``project`` calls the rig's own medium: without a port it is air, else whatever the port says."""
-    return Medium.AIR if rig.port is None else Medium.WATER
 
 
 def _moved(beam: Beam, lengths_m: Array, name: str) -> Array:

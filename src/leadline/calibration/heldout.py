@@ -25,7 +25,7 @@ from leadline.calibration.views import BoardView, numbered_alike
 from leadline.errors import InputError
 from leadline.geometry import Pose
 from leadline.rig import Rig
-from leadline.rig_derivatives import Medium
+from leadline.rig_derivatives import medium_of
 from leadline.rig_parameters import get
 
 _FOCAL = ("left.fx_px", "left.fy_px", "right.fx_px", "right.fy_px")
@@ -56,7 +56,7 @@ def check_rig(rig: Rig, views: Sequence[BoardView], board: Board, size: tuple[in
     if size != (rig.left.width, rig.left.height):
         what = f"the images are {size[0]}x{size[1]}, the rig's {rig.left.width}x{rig.left.height}"
         raise InputError(what, "--dive", "give images of the rig's own size")
-    medium = Medium.AIR if rig.port is None else Medium.WATER
+    medium = medium_of(rig)
     usable = [BoardView(v.name, medium, v.left, v.right) for v in numbered_alike(views, board) if v.left and v.right]
     if not usable:
         raise InputError("no pair shows the board in both images", "--dive", "check --board; a check needs pairs")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from leadline.geometry import midpoints
 from leadline.rig import Rig
-from leadline.rig_derivatives import SIDES, Medium, by_parameters, project
+from leadline.rig_derivatives import SIDES, by_parameters, medium_of, project
 from leadline.samples import Array, Image
 
 Pixels = NDArray[np.float32]
@@ -61,7 +61,7 @@ class _Meeting:
     which no move of the point can take a residual away: e^T dq/dpoint = 0, |e| = 1."""
 
     def __init__(self, rig: Rig, matches_px: Array) -> None:
-        self._rig, self._medium = rig, Medium.AIR if rig.port is None else Medium.WATER
+        self._rig, self._medium = rig, medium_of(rig)
         self._points = midpoints(*rig.rays(matches_px[:, :2], "left"), *rig.rays(matches_px[:, 2:], "right"))
         (left, A), (right, B) = (project(rig, side, self._medium, self._points) for side in SIDES)
         self._seen = ((left, A), (right, B))

@@ -13,7 +13,7 @@ from leadline.calibration.information import Suggestion, limits, spread, suggest
 from leadline.calibration.lengths import Halves, board_lengths, halves
 from leadline.calibration.views import LAYER_NAMES, SIDES, BoardView
 from leadline.calibration.warp import warp_of
-from leadline.rig_derivatives import Medium
+from leadline.rig_derivatives import Medium, medium_of
 from leadline.rig_parameters import get
 from leadline.samples import Array
 
@@ -54,7 +54,7 @@ def verdict(calibration: CameraCalibration, halves: Halves | None, suggested: Su
 
 def cross_check(calibration: CameraCalibration) -> Halves | None:
     """Near against far boards in water (in air for a rig without a port); None for too few or one camera."""
-    medium = Medium.AIR if calibration.rig.port is None else Medium.WATER
+    medium = medium_of(calibration.rig)
     views = [v for v in calibration.views if v.medium is medium]
     return halves(calibration.rig, board_lengths(calibration.rig, views, calibration.board, calibration.fit.sigma_px))
 

@@ -18,7 +18,7 @@ from leadline.calibration.views import BoardView
 from leadline.errors import InputError
 from leadline.evaluation.calibration_report import write_page
 from leadline.rig import Rig
-from leadline.rig_derivatives import Medium
+from leadline.rig_derivatives import Medium, medium_of
 from leadline.wire.calibration_folder import CalibrationFolder, ImagePair, read_calibration_folder
 from leadline.wire.camera_file import write_camera
 from leadline.wire.notice import Notice
@@ -183,5 +183,5 @@ def _provenance(calibration: CameraCalibration, sets: Sequence[Boards], judged: 
 def check(rig_file: str, path: Path, board: Board, tick: Tick = lambda done, total: None) -> tuple[HeldOut, list[str]]:
     """`calibrate check`: a rig judged by the boards of a folder or dive, and what was strange about the folder."""
     rig = Rig.load(rig_file)
-    boards = find_boards(path, Medium.AIR if rig.port is None else Medium.WATER, board, tick)
+    boards = find_boards(path, medium_of(rig), board, tick)
     return check_rig(rig, boards.views, board, boards.size), remarks(boards)
