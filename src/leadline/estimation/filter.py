@@ -14,7 +14,8 @@ import numpy as np
 
 from leadline.estimation.instant import take, take_motion
 from leadline.estimation.models import MotionModel
-from leadline.estimation.replay import Entry, History, Inputs, Taken
+from leadline.estimation.recovery import livelier, without_suspect
+from leadline.estimation.replay import Entry, History, Inputs
 from leadline.estimation.settings import FilterSettings
 from leadline.estimation.smoother import Smoothed, Track
 from leadline.estimation.state import Estimate, State
@@ -22,7 +23,6 @@ from leadline.estimation.turns import Turns
 from leadline.samples import NS_PER_S, Array, Kind, Measurement, Rejected, VehicleMotion
 
 MOST_TURNED_AWAY = 30
-SUSPECT_FOR_S, UNSURPRISING = 0.3, 0.25  # a position may be taken back so much later, if the new one then fits well
 
 
 class Filter:
@@ -67,11 +67,8 @@ class Filter:
         """Take measurements of one instant; an earlier one is put in its place and the rest replayed."""
         entry = self._history.insert(t_ns, tuple(measurements), self._apply)
         whole = [m for m in measurements if len(m.z) >= 3]  # those that fix the position by themselves
-        if entry is not None and (entry.taken.position or (whole and self._take_back(entry))):
-            self._turned_away.clear()
-        elif whole and (agreed := self._lost_lock(whole[0])):
-            self._start_again(agreed)
-        elif entry is None:
+        recovered = bool(whole) and self._recover(entry, whole[0])
+        if entry is None and not recovered:
             return [], [Rejected(m.kind, t_ns, "too late") for m in measurements]
         taken = self._history.last(t_ns).taken
         return list(taken.used), list(taken.rejected)
@@ -99,34 +96,25 @@ class Filter:
             return Entry(inputs, before, take_motion(before, inputs, self._settings))
         return Entry(inputs, before, *take(before, inputs, self._settings))
 
-    def _take_back(self, entry: Entry) -> bool:
-        """Whether a position was turned away for a wrong one taken shortly before: without that, all is well again."""
-        at = self._history.place(entry.t_ns) - 1
-        oldest_ns = entry.t_ns - int(SUSPECT_FOR_S * NS_PER_S)
-        recent = [i for i in range(1, at) if self._taken(i).position and self._history.entries[i].t_ns >= oldest_ns]
-        if not recent:
+    def _recover(self, entry: Entry | None, position: Measurement) -> bool:
+        """Where a position was turned away: whether all is well again."""
+        if entry is not None and entry.taken.position:
+            self._turned_away.clear()
+            return True
+        agreed = [*(m for m in self._turned_away if self._agree(m, position)), position]
+        self._turned_away = [*self._turned_away[-MOST_TURNED_AWAY:], position]
+        entries = None if entry is None else without_suspect(self._history, entry, self._apply)
+        if entries is None and entry is not None and len(agreed) > 1 and self._settings.adapt:
+            entries = livelier(self._history, agreed, self._apply, self._settings.acceleration_psd)
+        if entries is not None:
+            self._history.entries = entries
+            self._turned_away.clear()
+            return True
+        lasted_s = (position.t_ns - agreed[0].t_ns) / NS_PER_S
+        if len(agreed) < self._settings.recover_after or lasted_s < self._settings.recover_after_s:
             return False
-        for suspect in {max(recent, key=lambda i: self._taken(i).surprise), recent[-1]}:
-            entries = self._history.without(suspect, self._apply)
-            if entries[at - 1].taken.position and entries[at - 1].taken.surprise < UNSURPRISING:
-                self._history.entries = entries
-                return True
-        return False
-
-    def _taken(self, at: int) -> Taken:
-        return self._history.entries[at].taken
-
-    def _lost_lock(self, newest: Measurement) -> list[Measurement]:
-        """The positions that were turned away, agree with the newest, and went on for long enough; else none.
-
-        A wrong one among them is left out; one that is taken ends them.
-        """
-        agreed = [m for m in self._turned_away if self._agree(m, newest)]
-        self._turned_away = [*self._turned_away[-MOST_TURNED_AWAY:], newest]
-        if len(agreed) + 1 < self._settings.recover_after:
-            return []
-        lasted_s = (newest.t_ns - agreed[0].t_ns) / NS_PER_S
-        return [*agreed, newest] if lasted_s >= self._settings.recover_after_s else []
+        self._start_again(agreed)
+        return True
 
     def _agree(self, before: Measurement, after: Measurement) -> bool:
         dt = (after.t_ns - before.t_ns) / NS_PER_S

@@ -71,13 +71,6 @@ class History:
         self._forget()
         return self.entries[-1 - len(later)]
 
-    def without(self, at: int, apply: Apply) -> list[Entry]:
-        """The entries as they would be had nothing been measured at that one."""
-        entries = self.entries[:at]
-        for old in self.entries[at + 1 :]:
-            entries.append(apply(entries[-1].after, old.t_ns, old.inputs))
-        return entries
-
     def last(self, t_ns: int) -> Entry:
         """The entry at a time or the last before it; the first, where all are later."""
         return self.entries[max(self.place(t_ns), 1) - 1]

@@ -52,6 +52,7 @@ def _by_hand(predicted: Array, noise: Array, off: Array, nu: float, gate: float)
         before, s = s, (nu + m) / (nu + spread)
         if abs(s - before) < SETTLED * s:
             break
+    assert S is not None
     full = np.array(((S[0], S[1], S[3]), (S[1], S[2], S[4]), (S[3], S[4], S[5])))
     return Settled(nis, full[:m, :m], np.array(w[:m]))
 
@@ -72,4 +73,4 @@ def _at_large(predicted: Array, noise: Array, off: Array, nu: float, gate: float
         before, s = s, (nu + m) / (nu + spread)
         if abs(s - before) < SETTLED * s:
             break
-    return Settled(nis, S, w)
+    return Settled(nis, np.asarray(S), np.asarray(w))

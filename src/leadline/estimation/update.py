@@ -46,7 +46,7 @@ def update(
         PHt = P @ H.T
         settled = settle(H @ PHt, noise, off, nu, gate if turn == 0 else inf)
         if isinstance(settled, float):
-            return Refused("has no proper covariance") if isnan(settled) else Refused("disagrees", settled)
+            return Refused("is not a number") if isnan(settled) else Refused("disagrees", settled)
         if turn == 0:
             nis = settled.nis
         P_after = P - PHt @ settled.inverse @ PHt.T
