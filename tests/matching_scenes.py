@@ -126,3 +126,50 @@ def bound_px(scene: Scene, warp: Warp, noise: float = NOISE) -> Array:
         design = np.stack([slope, slope * dx / warp.half, slope * dy / warp.half, here, np.ones_like(here)], axis=1)
         limits.append(np.linalg.inv(design.T @ design)[0, 0])
     return np.sqrt(2 * (noise**2 + 1 / 12) * np.array(limits))
+
+
+def tiles(rng: np.random.Generator, pixel_m: float, stripes: bool) -> Texture:
+    """Stripes or a checker of 6 to 16 px, at any angle up to 40 degrees."""
+    period, turn, phase = rng.uniform(6, 16) * pixel_m, rng.uniform(-0.7, 0.7), rng.uniform(0, 2 * np.pi, 2)
+    across, down = np.array([np.cos(turn), np.sin(turn), 0]), np.array([-np.sin(turn), np.cos(turn), 0])
+
+    def texture(p: Array) -> Array:
+        wave = np.sin(2 * np.pi * (p @ across) / period + phase[0])
+        other = 1.0 if stripes else np.sin(2 * np.pi * (p @ down) / period + phase[1])
+        return np.asarray(120 + 40 * np.tanh(3 * wave * other))
+
+    return texture
+
+
+def particles(image: Float32, rng: np.random.Generator) -> Float32:
+    """Marine snow: bright blobs of 1 to 8 px, of which the other image has others."""
+    seen = image.copy()
+    height, width = image.shape
+    for _ in range(image.size // 1500):
+        sigma, bright = rng.uniform(0.7, 4.0), rng.uniform(20, 120)
+        u, v = rng.uniform(0, width), rng.uniform(0, height)
+        rows, columns = (
+            slice(*np.clip([int(c - 4 * sigma), int(c + 4 * sigma) + 1], 0, n)) for c, n in ((v, height), (u, width))
+        )
+        y, x = np.mgrid[rows, columns]
+        seen[rows, columns] += bright * np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * sigma**2))
+    return seen
+
+
+def behind_bars(scene: Scene, near_x: Array, texture: Texture, width_m: float, turn: float) -> tuple[Scene, Array]:
+    """Bars of a nearer surface before a scene; and where what each patch's centre sees is in the right part (N, 2)."""
+    across = np.array([np.cos(turn), np.sin(turn), 0])
+    near = Scene(
+        scene.rig, scene.left, scene.right, scene.left_corner_px, scene.right_corner_px, scene.surface, near_x, texture
+    )
+
+    def covered(p: Array) -> Array:
+        return np.asarray(np.sin(np.pi * (p @ across) / width_m) > 0.3)
+
+    parts = []
+    for side, image in (("left", scene.left), ("right", scene.right)):
+        p = near.points(_grid(np.array(image.shape[::-1])), side)
+        parts.append(np.where(covered(p), texture(p), image.ravel()).reshape(image.shape).astype(np.float32))
+    hidden = covered(near.points(near.centres_px))
+    seen = np.where(hidden[:, None], near.true_right_px(), scene.true_right_px())
+    return Scene(scene.rig, *parts, scene.left_corner_px, scene.right_corner_px, scene.surface, scene.x, texture), seen

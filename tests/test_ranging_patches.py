@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from leadline.ranging.images import Float32
-from leadline.ranging.patches import Matches, Warp, refine, search
+from leadline.ranging.patches import Limits, Matches, Warp, refine, search
 from leadline.samples import Array
 
 HALF, SPACING, ROWS, COLUMNS = 9, 26, 12, 22
@@ -48,8 +48,9 @@ def flat_warp() -> Warp:
 
 
 def matched(shift_px: float, start_px: float, noise: float = NOISE, seed: int = 2, gain: float = 1.0) -> Matches:
-    warp = flat_warp()
-    return refine(*pair(shift_px, noise, seed, gain), warp, np.full(len(warp.centre_px), start_px))
+    """Of all patches, also those with too few features for a verdict: what is tested is the estimate."""
+    warp, limits = flat_warp(), Limits(chance=1.0)
+    return refine(*pair(shift_px, noise, seed, gain), warp, np.full(len(warp.centre_px), start_px), limits)
 
 
 def test_exact_without_noise() -> None:

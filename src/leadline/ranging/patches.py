@@ -27,6 +27,7 @@ CLOSE_PX = 0.15
 FINE_STEPS = 2  # with exact sampling; one is enough from CLOSE_PX
 MAX_STEP_PX = 0.7
 STRAGGLERS = 0.1
+ALIKE = 0.5  # the least correlation of a place that may be taken for another
 MAX_RUN_PX = 2.0  # from the search, which cannot be wrong by more
 MAX_SLANT_PX = 4.0
 ROUNDED, UNLIKE = 1 / 12, 0.02  # least residual: whole grey levels; interpolation, as a part of the texture
@@ -54,7 +55,7 @@ class Limits:
     sigma_px: float = 0.6
     correlation: float = 0.3
     clipped: float = 0.04  # part of the pixels that may be black or white
-    chance: float = 0.05  # that unrelated texture of the same grain correlates as well
+    chance: float = 0.01  # that unrelated texture of the same grain correlates as well
     parts: float = 3.5  # sigmas that a ninth of the patch may pull
 
 
@@ -137,7 +138,8 @@ def search(left: Float32, right: Float32, warp: Warp, reach_px: float) -> Found:
     score = height[rows, best]
     beside = np.abs(np.arange(len(shifts)) - best[:, None]) <= 1
     second = np.where(beside, -1, height).max(axis=1)
-    return Found(shifts[best] + fraction[rows, best], score, second > score - 0.5 * (1 - score) - 0.05)
+    repeated = second > np.maximum(score - 0.5 * (1 - score) - 0.05, ALIKE)
+    return Found(shifts[best] + fraction[rows, best], score, repeated)
 
 
 def _peaks(table: Float32) -> tuple[Float32, Float32]:
@@ -262,6 +264,8 @@ class _Sampled:
 
 def refine(left: Float32, right: Float32, warp: Warp, start_px: Array, limits: Limits | None = None) -> Matches:
     """Sub-pixel shifts from shifts good to a pixel or so, with the sigma that noise and texture imply."""
+    if not len(start_px):
+        return Matches(np.empty(0), np.empty(0), np.empty(0), np.empty(0, np.int8))
     templates, places, side = _Templates(left, warp), _Places(warp, warp.half + 1), 2 * warp.half + 3
     p = np.concatenate([start_px[:, None], np.zeros((len(start_px), 2))], axis=1)
 
