@@ -7,8 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from leadline.ranging.beam import BeamRanger
-from leadline.rig import Rig
+from leadline.ranging.beam import SIDES, BeamRanger
+from leadline.ranging.beam_image import BeamImage
+from leadline.rig import Rig, Side
+from leadline.rig_covariance import RigCovariance
 from leadline.samples import Array, Kind, LaserRange, Measurement, Rejected
 from leadline.target import Cylinder, Plane, Sphere, Surface, Target
 
@@ -115,14 +117,51 @@ def test_two_spots_at_different_lengths_are_turned_away() -> None:
     assert isinstance(BeamRanger(RIG, Sphere(0.34)).spot(7, seen), Rejected)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_the_curve_is_the_beams_image(side: str) -> None:
-    lengths, curve_px = BeamRanger(RIG, Sphere(0.34)).curve(side, 0.5, 2.0)  # type: ignore[arg-type]
-    assert lengths[[0, -1]] == pytest.approx([0.5, 2.0], rel=0.01)
-    steps = np.linalg.norm(np.diff(curve_px, axis=0), axis=1)
-    assert steps == pytest.approx(0.5, abs=0.05)
-    exact = RIG.project(LASER.origin_m + lengths[:, None] * LASER.direction)[side == "right"]
-    assert curve_px == pytest.approx(exact, abs=1e-9)
+@pytest.mark.parametrize("side", SIDES)
+def test_what_is_sought_is_the_beams_image(side: Side) -> None:
+    sought = BeamRanger(RIG, Sphere(0.34)).sought(LASER.origin_m + 1.17 * LASER.direction)
+    assert sought is not None
+    exact = [pixels(length)[side == "right"] for length in (0.8, 1.0, 1.25)]
+    off = [float(np.linalg.norm(sought[side].curve_px - q_px, axis=1).min()) for q_px in exact]
+    assert max(off) < 0.6
+    assert sought[side].curve_px[[0, -1]] == pytest.approx(np.array([exact[0], exact[2]]), abs=1e-3)
+    assert np.sqrt(sought[side].shape_px2[0, 0]) == pytest.approx(0.0015 * RIG.focal_outside_px, rel=0.1)
+
+
+def test_a_beam_that_passes_by_is_not_sought() -> None:
+    assert BeamRanger(RIG, Sphere(0.34)).sought(np.array([0.8, 0.03, 1.0])) is None
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_the_table_of_the_beam_is_exact(side: Side) -> None:
+    """Another rig, in other water too: a table is of its rig."""
+    assert RIG.port is not None
+    salt = dataclasses.replace(RIG, port=dataclasses.replace(RIG.port, outside_index=1.36))
+    for rig in (RIG, salt):
+        image = BeamImage(rig, side, 0.1, 9.0)
+        lengths = 1 / np.linspace(1 / 8.9, 1 / 0.101, 500)
+        exact = rig.project(LASER.origin_m + lengths[:, None] * LASER.direction)[side == "right"]
+        assert image.at(lengths) == pytest.approx(exact, abs=1e-3)
+        q_px, along, sideways = image.near(0.7)
+        _, jacobian = rig.project_with_jacobian((LASER.origin_m + 0.7 * LASER.direction)[None], camera=side)
+        assert along == pytest.approx(jacobian[0] @ LASER.direction, rel=1e-3)
+        assert sideways == pytest.approx(jacobian[0] @ image.across.T, rel=0.02, abs=10)
+        assert image.closest(q_px) == pytest.approx(0.7, rel=0.05)
+
+
+def test_an_uncertain_rig_gives_an_uncertain_length() -> None:
+    """1 mrad of the beam's direction, seen by one camera alone: sampled and stated."""
+    names = tuple(f"laser.direction[{i}]" for i in range(3))
+    rig = dataclasses.replace(RIG, covariance=RigCovariance(names, 1e-6 * np.eye(3)))
+    ranger, rng, off = BeamRanger(rig, Sphere(0.34)), np.random.default_rng(1), []
+    for _ in range(300):
+        direction = LASER.direction + rng.normal(0, 1e-3, 3)
+        point = LASER.origin_m + direction / np.linalg.norm(direction)
+        found = ranger.solve({"left": (RIG.project(point[None])[0][0], 1e-4 * np.eye(2))})
+        assert found is not None
+        off.append((found[0] - 1.0) ** 2 / found[1])
+    for factor in (0.5, 1.0, 2.0):  # the mean of 300 is 1 +- 0.08
+        assert (0.75 < np.mean(off) / factor < 1.3) == (factor == 1.0), np.mean(off)
 
 
 def test_a_rig_without_a_laser_has_no_beam() -> None:

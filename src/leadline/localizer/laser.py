@@ -12,9 +12,9 @@ from leadline.estimation import Estimate
 from leadline.localizer.blind import Aside
 from leadline.localizer.motion import Skew
 from leadline.ranging.beam import BeamRanger
-from leadline.recognition.spot import find_spot
+from leadline.recognition.spot import Spot, find_spot
 from leadline.rig import Rig, Side
-from leadline.samples import NS_PER_S, Array, LaserRange, Measurement, Rejected, StereoFrame
+from leadline.samples import NS_PER_S, Array, Image, Kind, LaserRange, Measurement, Rejected, StereoFrame
 from leadline.target import Target
 
 
@@ -24,7 +24,7 @@ class LaserSight:
     def __init__(self, rig: Rig, target: Target, config: Config) -> None:
         assert rig.laser is not None
         self._rig, self._target, self._config, self._laser = rig, target, config, rig.laser
-        self._beam = BeamRanger(rig, target)
+        self._beam = BeamRanger(rig, target, config.beam)
         self._readings: deque[LaserRange] = deque(maxlen=32)
         self.calibration_variance_m2 = self._beam.calibration_variance_m2
 
@@ -65,28 +65,31 @@ class LaserSight:
 
     def spot(self, frame: StereoFrame, t_ns: int, x: Array, skew: Skew) -> list[Measurement | Rejected]:
         """The spot, where the target as known so far would show it."""
-        lengths, gradient = self._lengths(x)
-        length = float(lengths)
-        if not np.isfinite(length):
+        sought = self._beam.sought(x)
+        if sought is None:
             return []
         seen: dict[Side, tuple[Array, Array]] = {}
-        config = self._config.beam
-        sides: tuple[tuple[Side, object], ...] = (("left", frame.left), ("right", frame.right))
+        missing: dict[str, None] = {}
+        sides: tuple[tuple[Side, Image], ...] = (("left", frame.left), ("right", frame.right))
         for side, image in sides:
-            _, curve_px = self._beam.curve(side, max(0.8 * length, config.nearest_m), 1.25 * length)
-            spot = find_spot(image, curve_px, config.spot_radius_m * self._rig.focal_outside_px / length)  # type: ignore[arg-type]
-            if spot is not None:
-                seen[side] = (spot.q_px, spot.cov_px2)
+            found = find_spot(image, sought[side].curve_px, sought[side].shape_px2)
+            if isinstance(found, Spot):
+                seen[side] = sought[side].middle(found.q_px, found.spread), found.cov_px2
+            else:
+                missing[found.reason] = None
+        if not seen:
+            return [Rejected(Kind.SPOT, t_ns, "; ".join(missing))]
         if skew.dt_s and "right" in seen:
+            length, gradient = self._lengths(x)
             seen["right"] = self._at_left_exposure(*seen["right"], length, gradient[:3], skew)
-        return [self._beam.spot(t_ns, seen)] if seen else []
+        return [self._beam.spot(t_ns, seen)]
 
     def _at_left_exposure(
         self, q_px: Array, cov_px2: Array, length_m: float, gradient: Array, skew: Skew
     ) -> tuple[Array, Array]:
         """The right spot's pixel and covariance as they would have been: it ran along the beam meanwhile."""
         point = self._laser.origin_m + length_m * self._laser.direction
-        px_per_m = self._rig.project_with_jacobian(point, "right")[1][0] @ self._laser.direction
+        px_per_m = self._rig.project_with_jacobian(point[None], "right")[1][0] @ self._laser.direction
         ran_m = skew.dt_s * float(gradient @ skew.velocity_m_s)
         sigma_m = skew.dt_s * float(np.sqrt(gradient @ skew.velocity_cov @ gradient))
         along = sigma_m * px_per_m

@@ -1,8 +1,8 @@
-"""The laser's green spot: looked for only where the beam can be seen, centred to a fraction of a pixel.
+"""The laser's green spot: looked for only where the beam can be seen, centred to a small part of a pixel.
 
-The beam's image is a known curve. Along it the green channel is compared with its own surroundings (a spot is small
-and bright against them, a stain is not green, a glint is not on the curve); the centre is an iterated Gaussian-weighted
-mean, which ignores what lies beyond the spot.
+The beam's image is a known curve, and the beam's length about known: what stands out along that piece of curve is a
+candidate. A candidate is fitted (``spot_fit``) and must pass the gates: bright enough, green, of the spot's size, round
+as the slanted surface makes it, on the line, and alone. What is turned away says why.
 """
 
 from __future__ import annotations
@@ -12,48 +12,76 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from leadline.recognition.spot_fit import SpotFit, fit_spot
 from leadline.samples import Array, Image
 
 BAND_PX = 3.0  # off the curve: the rig's own error
-MIN_SNR = 6.0
-MIN_RISE = 6.0  # grey levels over the surroundings
+MIN_RISE = 5.0  # grey levels over the ground
+STANDS_OUT = 4.5  # over the noise along the curve, to be a candidate
+MIN_SNR = 6.0  # of a fitted one
+GREENER = 1.25  # than any other channel
+SIZES = (0.45, 2.2)  # of what is expected
+ROUNDNESS = 0.45
+MISFIT = 0.35  # of its height
+RIVAL = 0.6  # of the best one's height: then neither is trusted
+CANDIDATES = 3
 CENTRE_ITERATIONS = 12
+_SEARCH_SIGMA = 1.2  # samples in a sigma while searching
 
 
 @dataclass(frozen=True, slots=True)
 class Spot:
-    """Centre (2,) px, covariance (2, 2) px^2, and how far it stands out of the noise along the curve."""
+    """Centre (2,) px, covariance (2, 2) px^2, how far it stands out of the noise, and ``SpotFit.spread``."""
 
     q_px: Array
     cov_px2: Array
     snr: float
+    spread: float = 1.0
 
 
-def find_spot(image: Image, curve_px: Array, radius_px: float) -> Spot | None:
-    """The spot on a curve (K, 2) of an image, of about a given radius; None where nothing stands out.
+@dataclass(frozen=True, slots=True)
+class NoSpot:
+    """Why there is none, in plain words."""
 
-    image: (H, W, 3) BGR or grey; curve: the beam's pixels where it may end, in order; NaN and outside ones are skipped.
+    reason: str
+
+
+def find_spot(image: Image, curve_px: Array, shape_px2: Array, dark: Image | None = None) -> Spot | NoSpot:
+    """The spot on a curve (K, 2) of an image, of about the shape (2, 2) px^2 (covariance of its light).
+
+    image: (H, W, 3) BGR or (H, W) grey. curve: the beam's pixels where it may end, in order; NaN and outside ones are
+    skipped. dark: the same view without the laser (a pulsed laser's other frame), aligned to the image: then only what
+    the laser added counts.
     """
-    margin = int(3 * radius_px + BAND_PX + 6)
-    height, width = image.shape[:2]
+    sigma_px = float(np.sqrt(np.trace(shape_px2) / 2))
     with np.errstate(invalid="ignore"):
-        clear = ((curve_px > margin) & (curve_px < [width - margin - 1, height - margin - 1])).all(axis=1)
-    curve = curve_px[clear]
+        inside = (
+            (curve_px > sigma_px) & (curve_px < [image.shape[1] - 1 - sigma_px, image.shape[0] - 1 - sigma_px])
+        ).all(1)
+    curve = curve_px[inside]
     if len(curve) < 3:
-        return None
-    low = np.floor(curve.min(axis=0)).astype(int) - margin
-    high = np.ceil(curve.max(axis=0)).astype(int) + margin + 1
-    region = greenness(image[low[1] : high[1], low[0] : high[0]])
-    rise = _rise(region, radius_px)
-    strip = _across(rise, curve - low)
-    row, column = divmod(int(np.argmax(strip)), strip.shape[1])
-    peak = float(strip[row, column])
-    noise = 1.4826 * float(np.median(np.abs(strip - np.median(strip)))) + 0.3
-    if peak < MIN_RISE or peak < MIN_SNR * noise or _rival(strip, row, radius_px, peak):
-        return None
-    start = curve[row] - low + _normal(curve)[row] * (column - strip.shape[1] // 2)
-    centred = centre_spot(region, start, radius_px)
-    return None if centred is None else Spot(centred[0] + low, centred[1], peak / noise)
+        return NoSpot("the beam's end is out of the picture")
+    places = _candidates(image, dark, curve, sigma_px)
+    if not places:
+        return NoSpot("nothing stands out along the beam")
+    found: list[SpotFit] = []
+    reasons: list[str] = []
+    best = places[0][0]
+    for rise, q_px in places:
+        if rise < RIVAL * best and found:
+            break
+        fit = fit_spot(image, q_px, shape_px2, dark)
+        reason = "no spot fits what stands out" if fit is None else _refused(fit, curve)
+        if fit is not None and not reason:
+            found.append(fit)
+        else:
+            reasons.append(reason)
+    if not found:
+        return NoSpot(reasons[0])
+    strongest = max(found, key=lambda fit: fit.height.max())
+    if any(fit is not strongest and fit.height.max() > RIVAL * strongest.height.max() for fit in found):
+        return NoSpot("two places on the beam look like its spot")
+    return Spot(strongest.q_px, strongest.cov_px2, strongest.snr, strongest.spread)
 
 
 def greenness(image: Image) -> Array:
@@ -64,30 +92,85 @@ def greenness(image: Image) -> Array:
     return np.asarray(green - 0.25 * (blue + red))
 
 
-def _rise(region: Array, radius_px: float) -> Array:
-    """How far a spot-sized place stands above the ring around it."""
-    inner = cv2.GaussianBlur(region, (0, 0), max(0.6 * radius_px, 0.8))
-    outer = cv2.GaussianBlur(region, (0, 0), max(2.5 * radius_px, 3.0))
-    return np.asarray(inner - outer)
+def _refused(fit: SpotFit, curve: Array) -> str:
+    """The gate that a fitted candidate fails, in plain words; '' where it passes all."""
+    beside = BAND_PX + 3 * float(np.sqrt(np.trace(fit.cov_px2)))
+    others = fit.height[[0, 2]].max() if len(fit.height) == 3 else 0.0
+    gates = {
+        "what stands out is too faint": fit.snr > MIN_SNR and fit.height.max() > MIN_RISE,
+        "what stands out is not green: a glint, a lamp or a particle": fit.height[len(fit.height) // 2]
+        > GREENER * others,
+        "what stands out is too small for the spot": fit.size > SIZES[0],
+        "what stands out is too large for the spot": fit.size < SIZES[1],
+        "what stands out is not round": fit.roundness > ROUNDNESS,
+        "what stands out has another profile than a spot": fit.misfit < MISFIT,
+        "what stands out is beside the beam": _aside(fit.q_px, curve) < beside,
+    }
+    return next((reason for reason, passed in gates.items() if not passed), "")
 
 
-def _normal(curve: Array) -> Array:
+def _aside(q_px: Array, curve: Array) -> float:
+    """How far a pixel (2,) lies beside a curve."""
+    off = q_px - curve
+    nearest = int(np.argmin(np.einsum("ki,ki->k", off, off)))
+    return abs(float(off[nearest] @ _normals(curve)[nearest]))
+
+
+def _candidates(image: Image, dark: Image | None, curve: Array, sigma_px: float) -> list[tuple[float, Array]]:
+    """(rise, pixel (2,)) of what stands out along the curve, the highest first."""
+    block = max(1, int(sigma_px / _SEARCH_SIGMA))
+    margin = 4 * sigma_px + BAND_PX + 2
+    limit = [image.shape[1], image.shape[0]]
+    low = np.maximum(np.floor(curve.min(axis=0) - margin), 0).astype(int)
+    high = np.minimum(np.ceil(curve.max(axis=0) + margin).astype(int) + 1, limit)
+    size = (high - low) // block
+    part = np.s_[low[1] : low[1] + size[1] * block, low[0] : low[0] + size[0] * block]
+    green = _small(image[part], size, block)
+    if dark is not None:
+        green = green - _small(dark[part], size, block)
+    sigma = max(sigma_px / block, 0.7)
+    side = 2 * round(3 * sigma) + 1
+    rise = cv2.GaussianBlur(green, (0, 0), 0.8 * sigma) - cv2.blur(green, (side, side))
+    step = max(1, round(0.5 * sigma_px / max(float(np.linalg.norm(curve[1] - curve[0])), 0.1)))
+    line = curve[::step]
+    across = np.arange(-np.ceil(BAND_PX / block), np.ceil(BAND_PX / block) + 1) * block
+    at = line[:, None] + across[None, :, None] * _normals(line)[:, None]
+    place = np.asarray((at - low - (block - 1) / 2) / block, np.float32)
+    strip = cv2.remap(rise, place[..., 0], place[..., 1], cv2.INTER_LINEAR)
+    return _peaks(np.asarray(strip, np.float64), at, sigma_px)
+
+
+def _peaks(strip: Array, at: Array, sigma_px: float) -> list[tuple[float, Array]]:
+    top = strip.max(axis=1)
+    middle = float(np.median(strip))
+    noise = 1.4826 * float(np.median(np.abs(strip - middle))) + 0.2
+    found: list[tuple[float, Array]] = []
+    left = top.copy()
+    while len(found) < CANDIDATES:
+        row = int(np.argmax(left))
+        peak = float(left[row])
+        if peak < max(STANDS_OUT * noise, 0.4 * MIN_RISE):
+            break
+        q_px = at[row, int(np.argmax(strip[row]))]
+        found.append((peak, q_px))
+        left[np.linalg.norm(at[:, at.shape[1] // 2] - q_px, axis=1) < 4 * sigma_px + 2] = -np.inf
+    return found
+
+
+def _small(part: Image, size: Array, block: int) -> Array:
+    """Greenness, float32, averaged over blocks."""
+    if block > 1:
+        part = np.asarray(cv2.resize(part, (int(size[0]), int(size[1])), interpolation=cv2.INTER_AREA), np.uint8)
+    if part.ndim == 2:
+        return np.asarray(part, np.float32)
+    return np.asarray(cv2.transform(part.astype(np.float32), np.array([[-0.25, 1.0, -0.25]])), np.float32)
+
+
+def _normals(curve: Array) -> Array:
+    """Unit normals (K, 2) of a curve."""
     tangent = np.gradient(curve, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True) + 1e-12
     return np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
-
-
-def _across(rise: Array, curve: Array) -> Array:
-    """(K, M) of the rise along the curve and across it, a pixel apart."""
-    t = np.arange(-BAND_PX, BAND_PX + 1)
-    at = (curve[:, None] + t[None, :, None] * _normal(curve)[:, None]).astype(np.float32)
-    return np.asarray(cv2.remap(rise.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR), float)
-
-
-def _rival(strip: Array, best: int, radius_px: float, peak: float) -> bool:
-    """Another place on the curve that stands out nearly as much: then neither is trusted."""
-    apart = np.abs(np.arange(len(strip)) - best) > 8 * radius_px + 8
-    return bool(apart.any() and strip[apart].max() > 0.7 * peak)
 
 
 def centre_spot(region: Array, start: Array, radius_px: float) -> tuple[Array, Array] | None:
