@@ -107,6 +107,7 @@ def remarks(summary: Mapping[str, Any]) -> Iterator[str]:
             continue
         first = next(text for text in summary["notices"]["first"] if text.startswith(kind))
         yield f"{count} {kind}, the first: {first.removeprefix(kind + ': ')}"
+    yield from summary["agreement"]
     if summary["interrupted"]:
         yield "interrupted: everything up to there is kept"
 

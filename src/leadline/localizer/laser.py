@@ -9,9 +9,11 @@ import numpy as np
 
 from leadline.config import Config
 from leadline.estimation import Estimate
+from leadline.localizer.agreement import Length
 from leadline.localizer.blind import Aside
 from leadline.localizer.motion import Skew
 from leadline.ranging.beam import BeamRanger
+from leadline.ranging.calibration_error import CalibrationError
 from leadline.recognition.spot import Spot, find_spot
 from leadline.rig import Rig, Side
 from leadline.samples import NS_PER_S, Array, Image, Kind, LaserRange, Measurement, Rejected, StereoFrame
@@ -44,6 +46,25 @@ class LaserSight:
     def aside(self, believed: Estimate) -> Aside:
         """What a beam tells of a target that is not seen."""
         return Aside(self._target, self._laser, believed)
+
+    def length(self, sample: LaserRange) -> Length:
+        """The beam's length by the device."""
+        gain = self._laser.range_scale * self._laser.group_index
+        noise = (self._laser.range_sigma_m / gain) ** 2
+        return Length(sample.t_ns, self._laser.length_m(sample.range_m), noise, self.calibration_variance_m2)
+
+    def length_by(self, seen: Measurement, calibration: CalibrationError) -> Length | None:
+        """The beam's length by what a frame shows; None where the beam passes the target by."""
+        if seen.kind is Kind.SPOT:
+            length, noise = float(seen.z[0]), float(seen.cov[0, 0])
+        else:
+            length, gradient = self._lengths(seen.z)
+            noise = float(gradient @ seen.cov @ gradient)
+        if not (np.isfinite(length) and np.isfinite(noise)) or length < self._config.beam.nearest_m:
+            return None
+        point_m = self._laser.origin_m + length * self._laser.direction
+        common = float(self._laser.direction @ calibration.at(point_m) @ self._laser.direction)
+        return Length(seen.t_ns, length, noise, common)
 
     def keep(self, sample: LaserRange) -> None:
         self._readings.append(sample)

@@ -11,15 +11,17 @@ the time is in the sample, and the same samples give the same solutions bit for 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from leadline.config import Config
 from leadline.estimation import Estimate, Filter, FilterSettings
+from leadline.localizer.agreement import Agreement
 from leadline.localizer.blind import held
 from leadline.localizer.laser import LaserSight
 from leadline.localizer.motion import as_of_target, skew_of, taken_ns
-from leadline.localizer.sight import VISION, Sight
+from leadline.localizer.sight import VISION, Found, Sight
 from leadline.ranging.coarse import Box
 from leadline.recognition.finder import Finder
 from leadline.recognition.track import choose, iou
@@ -68,6 +70,7 @@ class Localizer:
         self._filter = Filter(FilterSettings(**self._config.filter.model_dump()))
         self._laser = None if rig.laser is None else LaserSight(rig, self._target, self._config)
         self._sight = Sight(rig, self._target, self._config, self._laser)
+        self._agreement = Agreement()
         self._motion: VehicleMotion | None = None
         self._last_seen: Estimate | None = None
         self._last_used: dict[Kind, int] = {}
@@ -96,6 +99,7 @@ class Localizer:
         found = self._sight.measure(frame, box, before, skew)
         if self._laser is not None and not self._filtered:
             found += self._laser.near(taken_ns(frame))
+        self._compare(found)
         measurements = [one for one in found if isinstance(one, Measurement)]
         rejected = [one for one in found if isinstance(one, Rejected)]
         if not self._filter.alive and not self._start(taken_ns(frame), measurements):
@@ -109,15 +113,17 @@ class Localizer:
     def _take_reading(self, sample: LaserRange) -> Solution | None:
         if self._laser is None:
             return None
-        self._laser.keep(sample)
+        self._agreement.read(self._laser.length(sample), sample.arrival_ns)
+        reading = replace(sample, t_ns=sample.t_ns + round(self._agreement.clock_s * NS_PER_S))
+        self._laser.keep(reading)
         if not self._filtered:
             return None
         self._expire(sample.t_ns)
-        before = self._hold(self._estimate(sample.t_ns))
+        before = self._hold(self._estimate(reading.t_ns))
         if before is None:
             return None
-        unseen = self._laser.aside(before) if self._blind(sample.t_ns) else None
-        used, rejected = self._filter.add(sample.t_ns, [self._laser.take(sample, unseen)])
+        unseen = self._laser.aside(before) if self._blind(reading.t_ns) else None
+        used, rejected = self._filter.add(reading.t_ns, [self._laser.take(reading, unseen)])
         return self._solution(sample.t_ns, used, rejected)
 
     def _take_motion(self, sample: VehicleMotion) -> None:
@@ -125,6 +131,27 @@ class Localizer:
         if self._filtered:
             before = self._estimate(sample.t_ns)
             self._filter.add_motion(sample if before is None else as_of_target(sample, self._target, before.x))
+
+    @property
+    def notices(self) -> list[str]:
+        """What a user should know of this dive: laser and cameras that do not agree, a clock that is off."""
+        return list(self._agreement.notices.values())
+
+    def _compare(self, found: Found) -> None:
+        """What the frame says of the beam's length: by its spot, else by the target where the beam meets it."""
+        seen = {one.kind: one for one in found if isinstance(one, Measurement)}
+        if self._laser is None:
+            return
+        lengths = [
+            self._laser.length_by(seen[kind], self._sight.calibration)
+            for kind in (Kind.SPOT, Kind.STEREO, Kind.SIZE)
+            if kind in seen
+        ]
+        known = [length for length in lengths if length is not None]
+        if known:
+            self._agreement.see(known[0])
+        if len(known) > 1 and Kind.SPOT in seen:
+            self._agreement.check(known[0], known[1])
 
     def _estimate(self, t_ns: int) -> Estimate | None:
         return self._filter.at(t_ns) if self._filter.alive else None
@@ -218,6 +245,7 @@ class Localizer:
             along = 1 / (1 / along + 1 / (status.laser_bias_m**2 + self._laser.calibration_variance_m2))
             if self._blind(estimate.t_ns):
                 along += self._laser.aside(estimate).variance_m2
+        along += self._agreement.variance_m2
         across = np.eye(3) - np.outer(sight, sight)
         common = np.zeros((len(estimate.x), len(estimate.x)))
         common[:3, :3] = across @ calibration @ across + along * np.outer(sight, sight)

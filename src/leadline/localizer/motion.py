@@ -48,7 +48,7 @@ class Skew:
 
 def triangulation_gain(rig: Rig, p_m: Array) -> Array:
     """(3, 3): how far a triangulated point moves along the left ray when the right camera sees it moved."""
-    jacobian = rig.project_with_jacobian(p_m, "right")[1][0]
+    jacobian = rig.project_with_jacobian(p_m[None], "right")[1][0]
     sight = p_m / np.linalg.norm(p_m)
     along = jacobian @ sight
     return np.outer(sight, along @ jacobian / (along @ along))

@@ -45,6 +45,7 @@ class PaperLocalizer:
         self._frame: StereoFrame | None = None
         self._seen = detector is None
         self.detections: list[Detection] = []  # of the last frame, for those who draw
+        self.notices: list[str] = []  # it compares nothing, and so has nothing to say
 
     def step(self, sample: Sample) -> Solution | None:
         if isinstance(sample, LaserRange):

@@ -27,6 +27,9 @@ class Steps(Protocol):
 
     detections: list[Detection]
 
+    @property
+    def notices(self) -> list[str]: ...
+
     def step(self, sample: Sample) -> Solution | None: ...
 
 

@@ -163,6 +163,7 @@ def _summary(job: Job, tracks: list[Track], passed: Passed, errors: dict[str, Er
         "frames": len(passed.frames_ns),
         "readings": len(passed.readings_ns),
         **summarise(main.solutions),
+        "agreement": main.localizer.notices,
         "notices": {"counts": count_notices(notices), "first": [str(notice) for notice in notices[:NOTICES_KEPT]]},
         "frame_rate_hz": rates(passed.frames_ns),
         "reading_rate_hz": rates(passed.readings_ns),
