@@ -39,7 +39,7 @@ def stereo_only(rig: Rig, target: Target = BALL, **changes: float) -> Rehearsal:
             "stereo": config.stereo.model_copy(update={"roughness_m": 0.0}),
         }
     )
-    return Rehearsal(rig, target, Conditions(attenuation_per_m=0.0, **changes), config)
+    return Rehearsal(rig, target, Conditions(attenuation_per_m=0.0, unlike_px_per_rad=0.0, **changes), config)
 
 
 def test_a_drawing_of_the_rendered_rig_is_that_rig() -> None:
@@ -75,11 +75,11 @@ def test_stereo_scales_as_it_must(target: Target) -> None:
 def test_patch_noise_is_the_limit_of_its_pixels() -> None:
     """Cramer and Rao: sigma^2 = 2 noise^2 / sum of squared slopes; shrinking the image changes nothing."""
     c = Conditions(noise_grey=2.0, texture_grey_px=4.0, attenuation_per_m=0.0)
-    assert c.match_sigma_px(1.0, 10, 0) == pytest.approx(np.sqrt(2 * 4 / (100 * 16)))
-    assert c.match_sigma_px(1.0, 10, 2) == pytest.approx(c.match_sigma_px(1.0, 10, 0))
-    assert Conditions(attenuation_per_m=1.0).match_sigma_px(2.0, 10, 0) == pytest.approx(
-        Conditions(attenuation_per_m=0.0).match_sigma_px(1.0, 10, 0) * np.exp(2)
-    )
+    assert c.match_sigma_px(1.0, 0.0, 10, 0) == pytest.approx(np.sqrt(2 * 4 / (100 * 16)))
+    assert c.match_sigma_px(1.0, 0.0, 10, 2) == pytest.approx(c.match_sigma_px(1.0, 0.0, 10, 0))
+    murky = dataclasses.replace(c, attenuation_per_m=1.0)
+    assert murky.match_sigma_px(2.0, 0.0, 10, 0) == pytest.approx(c.match_sigma_px(2.0, 0.0, 10, 0) * np.exp(2))
+    assert c.match_sigma_px(1.0, 0.1, 1e6, 1) == pytest.approx(0.1 * c.unlike_px_per_rad)
 
 
 def test_patches_that_overlap_do_not_count_twice() -> None:

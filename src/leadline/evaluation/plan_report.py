@@ -80,7 +80,8 @@ def _assumptions(rehearsal: Rehearsal, stated: bool, boards: int, at_m: float) -
         yield f"surface: a flat piece {2 * SURFACE_RADIUS_M:g} m across; a curved one is worse by what a quadric misses"
     yield (
         f"pictures: noise {c.noise_grey:g} grey levels a pixel; texture {c.texture_grey_px:g} grey levels a pixel from "
-        f"close by, falling by exp(-{c.attenuation_per_m:g} d); spot's centre good to {c.spot_px:g} px in one image"
+        f"close by, falling by exp(-{c.attenuation_per_m:g} d); two views of a patch unlike by "
+        f"{c.unlike_px_per_rad:g} px a radian between them; spot's centre good to {c.spot_px:g} px in one image"
     )
     yield (
         f"filtered: a still target after {c.seconds:g} s at {c.frames_hz:g} frames and {c.readings_hz:g} readings a "

@@ -35,27 +35,31 @@ class Conditions:
 
     noise_grey: standard deviation of a pixel, grey levels of 255. texture_grey_px: RMS of the target's grey levels'
     slope along a row, per pixel of the matched image, from close by; it falls by exp(-attenuation distance), which is
-    water and lens together. spot_px: of the spot's centre in one image. frames_hz, readings_hz, seconds: how long the
+    water and lens together. unlike_px_per_rad: error of a patch, full-size pixels, for every radian between
+    the directions that the cameras see it from: what two views of one surface do not share (slant, shading). It rules
+    from close by. spot_px: of the spot's centre in one image. frames_hz, readings_hz, seconds: how long the
     filter has seen the target.
     """
 
     noise_grey: float = 1.6
     texture_grey_px: float = 2.4
     attenuation_per_m: float = 0.2
+    unlike_px_per_rad: float = 0.4
     spot_px: float = 0.07
     frames_hz: float = 10.0
     readings_hz: float = 3.0
     seconds: float = 2.0
 
-    def match_sigma_px(self, distance_m: float, side_px: float, level: int) -> float:
-        """The noise limit of one patch's shift, full-size pixels: both images' noise over the patch's texture.
+    def match_sigma_px(self, distance_m: float, parallax_rad: float, side_px: float, level: int) -> float:
+        """Of one patch's shift, full-size pixels: the noise limit (both images' noise over the patch's texture), and
+        what the two views do not share.
 
         A texture looks alike at all scales, so that its slope per pixel of the shrunk image is the same; the noise is
         averaged by shrinking: what remains of the level is nothing.
         """
         texture = self.texture_grey_px * float(np.exp(-self.attenuation_per_m * distance_m))
-        noise = self.noise_grey / 2**level
-        return float(np.sqrt(2) * noise / (texture * side_px) * 2**level)
+        noise_px = np.sqrt(2) * self.noise_grey / 2**level / (texture * side_px)
+        return float(np.hypot(noise_px * 2**level, self.unlike_px_per_rad * parallax_rad))
 
 
 def vector_at(target: Target, nearest_m: Array) -> Array:
@@ -140,7 +144,8 @@ def expected_points(
         seen = ((at_px > reach_px) & (at_px < size - reach_px)).all(axis=1) & np.isfinite(lengths)
         seen &= ((q_px > reach_px) & (q_px < np.array([rig.left.width, rig.left.height]) - reach_px)).all(axis=1)
     side_px = 2 * half + 1
-    sigma_px = conditions.match_sigma_px(float(np.linalg.norm(x[:3])), side_px, level)
+    distance, _ = target.range(x)
+    sigma_px = conditions.match_sigma_px(distance, rig.baseline_m / distance, side_px, level)
     sigma_px *= max(1.0, side_px * 2**level / step_px)  # patches that overlap share their noise
     if seen.sum() < settings.min_agreed or sigma_px / 2**level > settings.max_sigma_px:
         return None
