@@ -62,7 +62,7 @@ def test_taken_for_flat_it_is_named_and_the_verdict_is_bad() -> None:
     result = verdict(calibration, cross_check(calibration), None)
     assert not result.good
     assert "the board is bent (+0.59" in doubts(calibration)
-    assert "--warp" in doubts(calibration)
+    assert result.next_action == "calibrate again with --warp"
 
 
 @pytest.mark.parametrize("settings", [FLAT, BENT])

@@ -24,6 +24,7 @@ _CELLS = (6, 4)  # of the image, for its coverage
 _COVERED = 0.5
 _NOISY_PX = 0.35
 _GOOD_MM_AT_1_M = 2.0
+_MOVED = 2.0  # of its own standard deviations: then the stated uncertainty is no longer true
 _FAR_OFF = 3.0  # standard deviations from a prior
 
 
@@ -44,8 +45,12 @@ def verdict(calibration: CameraCalibration, halves: Halves | None, suggested: Su
     """From the calibration itself, its near/far cross-validation and the images that would help most."""
     grave = [*_wrong_model(calibration, halves), *_too_uncertain(calibration)]
     light = [*_thin(calibration), *_strange(calibration)]
-    if grave and not light and suggested:
-        return Verdict(False, tuple(grave), str(suggested))
+    warp, otherwise_sound = warp_of(calibration), not grave
+    if warp.sure and not calibration.settings.warp:
+        bent = f"the board is bent ({warp}; it moves what was found by {warp.moves:.1f} sigma)"
+        (grave if warp.moves > _MOVED else light).append(bent)
+        if otherwise_sound:
+            return Verdict(not grave, (*grave, *light), "calibrate again with --warp")
     action = str(suggested) if suggested else "check the rig on boards that it has not seen: leadline calibrate check"
     if calibration.rig.port is not None and Medium.WATER not in calibration.media():
         action = "take 15 or more images of the board in water"
@@ -110,9 +115,6 @@ def _wrong_model(calibration: CameraCalibration, halves: Halves | None) -> list[
             f"near and far boards disagree by {abs(halves.far - halves.near):.2%} ({halves.sigmas:.0f} sigma): "
             "the port is not flat, or not as described"
         )
-    bent = warp_of(calibration)
-    if bent.sure and not calibration.settings.warp:
-        out.append(f"the board is bent ({bent}): add --warp, or glue it on something flat")
     out += [f"{what}: {then}" for what, then in _far_from_prior(calibration)]
     return out
 

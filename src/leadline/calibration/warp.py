@@ -19,10 +19,15 @@ _MATTERS_M = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Warp:
-    """How far a board's middle stands out (2,), m, bent along its rows and its columns; its covariance (2, 2)."""
+    """How far a board's middle stands out (2,), m, bent along its rows and its columns; its covariance (2, 2).
+
+    moves: how far a calibration that took the board for flat is off by that, in its own sigmas (the parameter that is
+    off most); 0 where the warp was estimated.
+    """
 
     warp_m: Array
     cov_m2: Array
+    moves: float = 0.0
 
     @property
     def sure(self) -> bool:
@@ -44,4 +49,5 @@ def warp_of(calibration: CameraCalibration) -> Warp:
     priors = calibration.priors | dict.fromkeys(WARP_NAMES, WARP_PRIOR)
     wider = Problem(calibration.problem.sights, (*fit.names, *WARP_NAMES), priors)
     step, covariance = wider.first_step(fit.rig, fit.poses, fit.sigma_px)
-    return Warp(step[-2:], covariance[-2:, -2:])
+    moves = float(np.max(np.abs(step[:-2]) / np.sqrt(np.diag(fit.covariance))))
+    return Warp(step[-2:], covariance[-2:, -2:], moves)
