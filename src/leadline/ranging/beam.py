@@ -93,9 +93,10 @@ class BeamRanger:
         image = self._images[side]
         shape_px2, facing_px, bend_px = footprint.in_image(image)
         ends = image.at(np.array([nearest_m, farthest_m]))
-        step_px = max(0.7, 0.5 * float(np.sqrt(np.linalg.eigvalsh(shape_px2)[0])))
-        travel_px = np.nan_to_num(float(np.linalg.norm(ends[1] - ends[0])), nan=3000.0)
-        inverse = np.linspace(1 / nearest_m, 1 / farthest_m, int(np.clip(travel_px / step_px, 3, 3000)) + 2)
+        step_px = max(0.7, 0.5 * float(np.sqrt(shape_px2.diagonal().min())))
+        travel_px = float(np.hypot(*(ends[1] - ends[0])))
+        travel_px = travel_px if np.isfinite(travel_px) else 3000.0  # an end that is unseen
+        inverse = np.linspace(1 / nearest_m, 1 / farthest_m, min(int(travel_px / step_px), 3000) + 4)
         return Sought(image.at(1 / inverse), shape_px2, facing_px, bend_px)
 
     def _footprint(self, x: Array) -> _Footprint | None:
@@ -157,7 +158,8 @@ class BeamRanger:
         for i, side in enumerate(SIDES):
             if side in seen:
                 cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = seen[side][1]
-        cov += self._calibration.at(length_m)
+        if not self._calibration.exact:
+            cov += self._calibration.at(length_m)
         rows = np.concatenate([[2 * SIDES.index(side), 2 * SIDES.index(side) + 1] for side in sides])
         return np.asarray(cov[np.ix_(rows, rows)])
 

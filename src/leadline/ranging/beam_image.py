@@ -33,10 +33,16 @@ class BeamImage:
         self._q_px, jacobian = rig.project_with_jacobian(points, camera=side)
         self._slope_px = -(jacobian @ self.direction) * (lengths**2 * self._step)[:, None]  # per node
         self._sideways = (jacobian @ self.across.T) * lengths[:, None, None]  # px m/m: almost constant
+        self._plain = self._q_px.tolist(), self._slope_px.tolist()  # for one place at a time, which is most of the time
 
     def at(self, lengths_m: Array) -> Array:
-        """Pixels (K, 2) of lengths (K,) within the table; NaN where unseen."""
-        return self._cubic(1 / np.asarray(lengths_m))[0]
+        """Pixels (K, 2) of lengths (K,) within the table, by Hermite's cubic; NaN where unseen."""
+        place = np.clip((1 / np.asarray(lengths_m) - self._first) / self._step, 0, NODES - 1 - 1e-9)
+        node = place.astype(np.intp)
+        t = (place - node)[:, None]
+        p0, p1, m0, m1 = self._q_px[node], self._q_px[node + 1], self._slope_px[node], self._slope_px[node + 1]
+        rise = p1 - p0
+        return np.asarray(p0 + t * (m0 + t * (3 * rise - 2 * m0 - m1 + t * (m0 + m1 - 2 * rise))))
 
     def depth_m(self, length_m: float) -> float:
         """Along the camera's axis."""
@@ -51,19 +57,17 @@ class BeamImage:
 
     def near(self, length_m: float) -> tuple[Array, Array, Array]:
         """Pixel (2,), d(pixel)/d(length) (2,) px/m and d(pixel)/d(offset across the beam) (2, 2) px/m at one length."""
-        q_px, slope_px = self._cubic(np.array([1 / length_m]))
-        node = int(np.clip(round((1 / length_m - self._first) / self._step), 0, NODES - 1))
-        return q_px[0], -slope_px[0] / (self._step * length_m**2), self._sideways[node] / length_m
-
-    def _cubic(self, inverse: Array) -> tuple[Array, Array]:
-        """Hermite's cubic: pixels (K, 2) and slopes per node (K, 2)."""
-        place = np.clip((inverse - self._first) / self._step, 0, NODES - 1 - 1e-9)
-        node = place.astype(np.intp)
-        t = (place - node)[:, None]
-        p0, p1, m0, m1 = self._q_px[node], self._q_px[node + 1], self._slope_px[node], self._slope_px[node + 1]
-        rise = p1 - p0
-        c2, c3 = 3 * rise - 2 * m0 - m1, m0 + m1 - 2 * rise
-        return p0 + t * (m0 + t * (c2 + t * c3)), m0 + t * (2 * c2 + 3 * t * c3)
+        place = min(max((1 / length_m - self._first) / self._step, 0.0), NODES - 1 - 1e-9)
+        node = int(place)
+        t = place - node
+        (q0, q1), (s0, s1) = (table[node : node + 2] for table in self._plain)
+        q_px, slope_px = np.empty(2), np.empty(2)
+        for i in range(2):
+            rise = q1[i] - q0[i]
+            c2, c3 = 3 * rise - 2 * s0[i] - s1[i], s0[i] + s1[i] - 2 * rise
+            q_px[i] = q0[i] + t * (s0[i] + t * (c2 + t * c3))
+            slope_px[i] = -(s0[i] + t * (2 * c2 + 3 * t * c3)) / (self._step * length_m**2)
+        return q_px, slope_px, self._sideways[round(place)] / length_m
 
 
 class CalibrationPixels:
@@ -87,6 +91,7 @@ class CalibrationPixels:
                     turned = by_point @ turns * lengths[:, None, None]
                     part[:, :, column] = (by_point if "origin" in name else turned)[:, :, axis]
             changed[:, 2 * i : 2 * i + 2] = part
+        self.exact = not names
         self._cov_px2 = np.nan_to_num(changed @ rig.covariance.of(names) @ changed.transpose(0, 2, 1))
 
     def at(self, length_m: float) -> Array:

@@ -113,7 +113,8 @@ def _aside(q_px: Array, curve: Array) -> float:
     """How far a pixel (2,) lies beside a curve."""
     off = q_px - curve
     nearest = int(np.argmin(np.einsum("ki,ki->k", off, off)))
-    return abs(float(off[nearest] @ _normals(curve)[nearest]))
+    low = min(max(nearest - 1, 0), len(curve) - 3)
+    return abs(float(off[nearest] @ _normals(curve[low : low + 3])[1]))
 
 
 def _candidates(image: Image, dark: Image | None, curve: Array, sigma_px: float) -> list[tuple[float, Array]]:
@@ -142,8 +143,9 @@ def _candidates(image: Image, dark: Image | None, curve: Array, sigma_px: float)
 
 def _peaks(strip: Array, at: Array, sigma_px: float) -> list[tuple[float, Array]]:
     top = strip.max(axis=1)
-    middle = float(np.median(strip))
-    noise = 1.4826 * float(np.median(np.abs(strip - middle))) + 0.2
+    half = strip.size // 2
+    middle = float(np.partition(strip.ravel(), half)[half])
+    noise = 1.4826 * float(np.partition(np.abs(strip - middle).ravel(), half)[half]) + 0.2
     found: list[tuple[float, Array]] = []
     left = top.copy()
     while len(found) < CANDIDATES:
@@ -153,7 +155,7 @@ def _peaks(strip: Array, at: Array, sigma_px: float) -> list[tuple[float, Array]
             break
         q_px = at[row, int(np.argmax(strip[row]))]
         found.append((peak, q_px))
-        left[np.linalg.norm(at[:, at.shape[1] // 2] - q_px, axis=1) < 4 * sigma_px + 2] = -np.inf
+        left[np.hypot(*(at[:, at.shape[1] // 2] - q_px).T) < 4 * sigma_px + 2] = -np.inf
     return found
 
 
@@ -168,9 +170,11 @@ def _small(part: Image, size: Array, block: int) -> Array:
 
 def _normals(curve: Array) -> Array:
     """Unit normals (K, 2) of a curve."""
-    tangent = np.gradient(curve, axis=0)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True) + 1e-12
-    return np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
+    tangent = np.empty_like(curve)
+    tangent[1:-1] = curve[2:] - curve[:-2]
+    tangent[0], tangent[-1] = curve[1] - curve[0], curve[-1] - curve[-2]
+    length = np.sqrt(np.einsum("ki,ki->k", tangent, tangent)) + 1e-12
+    return np.stack([-tangent[:, 1] / length, tangent[:, 0] / length], axis=1)
 
 
 def centre_spot(region: Array, start: Array, radius_px: float) -> tuple[Array, Array] | None:

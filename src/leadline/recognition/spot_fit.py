@@ -24,7 +24,7 @@ RING = 2.3  # beyond so many sigmas is bare ground
 GLARE = 0.6  # a saturated spot shows farther out: both grow by this part of the saturated radius
 SAMPLES = 2.5  # a larger spot is averaged until its sigma is about so many samples
 MAX_STEPS = 12
-SETTLED = 2e-3  # of a sigma
+SETTLED = 1e-2  # of a sigma: the last step leaves about its square
 SHAPE_SIGMA = 0.5  # how far size and roundness may differ from what is expected, relative
 SUBSAMPLED_PX2 = 3.0  # video keeps colours at half the resolution: below this variance they help less
 
@@ -86,12 +86,12 @@ def fit_spot(image: Image, start_px: Array, shape_px2: Array, dark: Image | None
 
     image: (H, W, 3) BGR or (H, W) grey. dark: the same view without the laser, aligned; then the difference counts.
     """
-    root = np.asarray(np.linalg.cholesky(shape_px2), np.float64)
+    root = _root(shape_px2)
     start_px, glare = _glare(image, start_px, np.sqrt(np.diag(shape_px2)))
     window = _cut(image, dark, start_px, root, glare)
     if window is None:
         return None
-    mixed = window.values @ _mix(window, float(np.sqrt(np.linalg.det(shape_px2))))
+    mixed = window.values @ _mix(window, float(root[0, 0] * root[1, 1]))
     u = window.u[:, window.clear]
     found = _solve(u, mixed[window.near].ravel()[window.clear], window.ring)
     if found is None:
@@ -100,8 +100,8 @@ def fit_spot(image: Image, start_px: Array, shape_px2: Array, dark: Image | None
     spread = _spread(u, found)
     floor2 = FLOOR_PX**2 + (CUT_OFF * max(spread - 1.0, 0.0)) ** 2 * float(np.trace(shape_px2)) / 2
     to_px = root @ found.cov[:2, :2] @ root.T
-    light = np.linalg.inv(found.form)
-    narrow, wide = np.sqrt(np.linalg.eigvalsh(light))
+    light = _inverse(found.form)
+    narrow, wide = np.sqrt(_axes(light))
     return SpotFit(
         q_px=start_px + root @ found.centre,
         cov_px2=growth * to_px + floor2 * np.eye(2),
@@ -115,10 +115,29 @@ def fit_spot(image: Image, start_px: Array, shape_px2: Array, dark: Image | None
     )
 
 
+def _root(a: Array) -> Array:
+    """Cholesky's factor of a (2, 2) matrix; by hand, as the next two: a call of the library's costs ten times more."""
+    first = float(a[0, 0]) ** 0.5
+    low = float(a[0, 1]) / first
+    return np.array([[first, 0.0], [low, (float(a[1, 1]) - low * low) ** 0.5]])
+
+
+def _inverse(a: Array) -> Array:
+    (p, q), (r, s) = a.tolist()
+    return np.array([[s, -q], [-r, p]]) / (p * s - q * r)
+
+
+def _axes(a: Array) -> tuple[float, float]:
+    """The eigenvalues of a symmetric (2, 2) matrix, the smaller one first."""
+    (p, q), (_, s) = a.tolist()
+    apart = float(np.hypot((p - s) / 2, q))
+    return (p + s) / 2 - apart, (p + s) / 2 + apart
+
+
 def _cut(image: Image, dark: Image | None, start_px: Array, root: Array, glare: float) -> _Window | None:
     """The window around a start, cut by the image's border; None where too little of it is left."""
     sigma = np.sqrt(np.einsum("ij,ij->i", root, root))
-    block = max(1, int(float(np.linalg.svd(root, compute_uv=False)[-1]) / SAMPLES))
+    block = max(1, int(float(np.sqrt(_axes(root @ root.T)[0])) / SAMPLES))
     half = np.ceil((REACH + glare) * sigma / block).astype(int) + 2 // block
     corner = np.round(start_px - (block - 1) / 2).astype(int)
     size = np.array([image.shape[1], image.shape[0]])
@@ -149,7 +168,7 @@ def _cut(image: Image, dark: Image | None, start_px: Array, root: Array, glare: 
         for c, a, b, s in zip(corner, near_low, near_high, start_px, strict=True)
     )
     places = np.stack([np.broadcast_to(x, (len(y), len(x))).ravel(), np.repeat(y, len(x))])
-    return _Window(values, surface, RING + glare, (near[0], near[1]), clear, np.linalg.solve(root, places))
+    return _Window(values, surface, RING + glare, (near[0], near[1]), clear, _inverse(root) @ places)
 
 
 def _glare(image: Image, start_px: Array, sigma: Array) -> tuple[Array, float]:
@@ -269,10 +288,10 @@ def _growth(mixed: Array, window: _Window, found: _Solution) -> float:
     at = place[:, None] + within
     moved = mixed.ravel()[at] @ influence.T
     # Texture, less noise: it shades the spot's own light too.
-    paint = np.asarray(cv2.GaussianBlur(window.surface, (0, 0), 1.5), np.float64)
+    paint = np.asarray(cv2.GaussianBlur(window.surface, (7, 7), 1.5), np.float64)
     paint = paint / max(float(paint.mean()), 1.0) - 1
     moved += paint.ravel()[at] @ (found.height * influence * found.terms[5]).T
-    ratios = np.einsum("ni,ij,nj->n", moved, np.linalg.inv(found.cov[:2, :2]), moved)
+    ratios = np.einsum("ni,ij,nj->n", moved, _inverse(found.cov[:2, :2]), moved)
     if len(ratios) == 0:
         return CRAMPED
     limit = 6 * float(np.median(ratios)) + 1e-9  # an edge somewhere around is not under the spot
