@@ -1,0 +1,87 @@
+"""The filter beside an oracle that is spared the outliers, and beside GTSAM, on dives drawn from their noise.
+
+The long form is the promise (1,000 dives); the short one the same at 60, with the bands of 60.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from benchmarks.filter_dives import Plan, draw
+from benchmarks.filter_runs import SETTLED_S, Outcome, experiment
+
+STANDARD = Plan("standard")
+MOST_RATIO, MOST_TAIL = 1.1, 1.3
+
+
+@cache
+def standard(runs: int, inflate: float = 1.0) -> Outcome:
+    return experiment(STANDARD, runs, inflate=inflate)
+
+
+def holds(outcome: Outcome) -> bool:
+    """Mean NEES and NIS of 3 dimensions within what 95 % of the means over so many dives are at one time."""
+    return max(abs(outcome.nees - 3), abs(outcome.nis - 3)) < outcome.band()
+
+
+@pytest.mark.parametrize("runs", [60, pytest.param(1000, marks=pytest.mark.long)])
+def test_as_good_as_an_oracle_without_the_outliers(runs: int) -> None:
+    outcome = standard(runs)
+    assert outcome.ratio <= MOST_RATIO
+    assert outcome.tail <= MOST_TAIL
+    assert outcome.lost == 0
+    assert holds(outcome)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_would_notice_a_covariance_that_is_half_or_double(factor: float) -> None:
+    assert not holds(standard(30, factor))
+
+
+HARDER = {
+    # The most that the RMS error may be against the oracle's, who knows the clock and what motion to expect.
+    "dropouts": (Plan("dropouts", dropouts=2), 1.1),
+    "bursts": (Plan("bursts", bursts=2), 1.2),
+    "clock step": (Plan("clock step", clock_step_s=0.1), 1.2),
+    "murky": (Plan("murky", noise_factor=2.0), 1.2),
+    "lively": (Plan("lively", psd=0.1), 1.2),
+    "calm": (Plan("calm", psd=0.001), 1.2),
+}
+
+
+@pytest.mark.parametrize("name", HARDER)
+@pytest.mark.parametrize("runs", [12, pytest.param(300, marks=pytest.mark.long)])
+def test_keeps_its_lock_where_it_is_harder(name: str, runs: int) -> None:
+    plan, most = HARDER[name]
+    outcome = experiment(plan, runs)
+    assert outcome.lost == 0
+    assert outcome.ratio <= most
+
+
+def test_violent_motion_costs_nothing_against_single_frames() -> None:
+    """1 m/s^2 at 0.22 m, where a frame is good to a quarter of a millimetre."""
+    outcome = experiment(Plan("violent", motion="violent", standoff_m=0.22, camera_outliers=0.0), 6)
+    assert np.median(outcome.at_stamp_m) <= 1.1 * np.median(outcome.single_m)
+
+
+def test_is_not_worse_than_gtsam() -> None:
+    """Its incremental fixed-lag smoother with a robust kernel, which is told the motion's power density."""
+    pytest.importorskip("gtsam", reason="GTSAM is not installed (pip install gtsam)")
+    from benchmarks.filter_gtsam import fixed_lag  # noqa: PLC0415
+
+    runs = 15
+    dives = draw(STANDARD, runs)
+    late = dives.arrival_s > SETTLED_S
+    theirs = [
+        np.sqrt(((fixed_lag(dives, run, STANDARD.psd) - dives.now_m[run])[late] ** 2).sum(-1).mean())
+        for run in range(runs)
+    ]
+    assert np.median(experiment(STANDARD, runs).rms_m) <= np.median(theirs)
+
+
+def test_a_step_does_not_take_longer_with_time() -> None:
+    outcome = experiment(Plan("long", seconds=60.0, standoff_m=1.0), 1)
+    quarter = len(outcome.step_us) // 4
+    assert np.median(outcome.step_us[-quarter:]) < 1.5 * np.median(outcome.step_us[:quarter])
