@@ -20,6 +20,7 @@ COLUMNS, ROWS = 9, 7
 INNER = 0.7  # of the box: its corners are not the target
 STEP_PX = 0.7
 MIN_CORRELATION = 0.5
+FAINT = 0.7  # grey levels: what is no stronger, the glow of the water above all, correlates with anything
 WINDOW = (0.7, 1.5)  # of the common depth: how far a patch may stand from it
 
 Box = tuple[float, float, float, float]
@@ -104,14 +105,14 @@ def _scores(left: Float32, right: Float32, q_px: Array, seen: Float32) -> Float3
     offset = np.arange(-HALF, HALF + 1, SPARSE)
     dx, dy = (v.ravel().astype(np.float32) for v in np.meshgrid(offset, offset))
     scores = np.empty(seen.shape[1:], np.float32)
-    places = np.nan_to_num(seen, nan=-1e4)
+    places, faint = np.nan_to_num(seen, nan=-1e4), np.float32(FAINT**2 * len(dx))
     for i, (u, v) in enumerate(q_px):
         patch = left[v - HALF : v + HALF + 1 : SPARSE, u - HALF : u + HALF + 1 : SPARSE].ravel()
         patch = patch - patch.mean()
         sampled = linear(right, places[0, i, :, None] + dx, places[1, i, :, None] + dy)
         # The patch has no mean, so that the sampled one's need not be taken off.
         power = np.einsum("kw,kw->k", sampled, sampled) - sampled.sum(axis=1) ** 2 / np.float32(len(patch))
-        scores[i] = sampled @ patch / (np.linalg.norm(patch) * np.sqrt(np.maximum(power, 0)) + 1e-3)
+        scores[i] = sampled @ patch / np.sqrt((patch @ patch + faint) * (np.maximum(power, 0) + faint))
     return scores
 
 
