@@ -101,7 +101,7 @@ class Filter:
         if entry is not None and entry.taken.position:
             self._turned_away.clear()
             return True
-        agreed = [*(m for m in self._turned_away if self._agree(m, position)), position]
+        agreed = self._agreeing(position)
         self._turned_away = [*self._turned_away[-MOST_TURNED_AWAY:], position]
         entries = None if entry is None else without_suspect(self._history, entry, self._apply)
         if entries is None and entry is not None and len(agreed) > 1 and self._settings.adapt:
@@ -115,6 +115,14 @@ class Filter:
             return False
         self._start_again(agreed)
         return True
+
+    def _agreeing(self, newest: Measurement) -> list[Measurement]:
+        """The positions turned away that lead to the newest one, from each to the next; it is the last of them."""
+        chain = [newest]
+        for m in reversed(self._turned_away):
+            if self._agree(m, chain[-1]):
+                chain.append(m)
+        return chain[::-1]
 
     def _agree(self, before: Measurement, after: Measurement) -> bool:
         dt = (after.t_ns - before.t_ns) / NS_PER_S
