@@ -13,6 +13,7 @@ from scipy.interpolate import RBFInterpolator
 
 from leadline.config import StereoConfig
 from leadline.ranging.coarse import Box, coarse_points
+from leadline.ranging.focus import lopsided, narrowed, textured
 from leadline.ranging.images import Region
 from leadline.ranging.layout import LengthAt, Prediction, centres, predicted, visible
 from leadline.ranging.patches import Limits, Verdict, refine, search
@@ -20,11 +21,12 @@ from leadline.ranging.shape_fit import Fit, Points, fit
 from leadline.ranging.surface_fit import fit_surface
 from leadline.rig import Rig
 from leadline.samples import Array, Image, Kind, Measurement, Rejected
-from leadline.target import Sphere, Surface, Target
+from leadline.target import Cylinder, Plane, Sphere, Surface, Target
 
 ROUND_INSET = 0.9
 MAX_MISFIT = 30.0  # patches this far off their sigmas hold another shape: a pile and the sand behind it
 NEAREST_M = 0.02
+NEAR_SIZE_M = 0.4  # a wall is matched in pixels as fine as a ball of this size beside it
 BOX_SIGMA = 0.2  # how well a box tells a ball's size
 FIRST_REACH_PX, NEXT_REACH_PX, MOST_REACH_PX = 3.0, 1.5, 12.0
 AS_PREDICTED_PX = 1.0  # patches that moved less than this need no second look
@@ -89,20 +91,21 @@ class StereoRanger:
         return Measurement(Kind.STEREO, t_ns, found.x, found.cov, lambda x: (x, eye))
 
     def fit(self, pair: Pair, box: Box, prior: Prior | None) -> Fit | str:
-        level = max(0, int(np.round(np.log2(max(box[2], box[3], 1.0) / self._settings.target_px))))
-        if prior is None or isinstance(self._target, Surface):
-            points = coarse_points(pair.rig, pair.left_image, pair.right_image, box)
-            if points is None:
-                return "no texture in common"
-            target, reach_px, predicted_well = self._expect(pair, box, points), FIRST_REACH_PX, -1.0
-            found = self._shape(target, points)
+        view, predicted_well = box, -1.0 if prior is None or isinstance(self._target, Surface) else AS_PREDICTED_PX
+        target, points, found = self._begin(pair, box, prior)
+        if found is None:
+            return "no shape through the patches" if len(points.length_m) else "no texture in common"
+        if isinstance(target, Cylinder):
+            box = narrowed(pair.rig, target, found.x, view)
+        coarse, fine = self._levels(pair.rig, box, target.range(found.x)[0])
+        if prior is None or predicted_well < 0:
+            levels, reach_px = (coarse, fine), FIRST_REACH_PX
         else:
-            target, reach_px, predicted_well = self._target, self._reach(pair.rig, prior, level), AS_PREDICTED_PX
-            points, found = NOTHING, Fit(prior.x, np.eye(len(prior.x)), np.empty(0, bool), 1.0)
-        left = self._left(pair, box, level)
-        for _ in range(2):
+            levels, reach_px = (fine, fine), self._reach(pair.rig, prior, fine)
+        for level in levels:
             if found is None:
                 return "no shape through the patches"
+            left = self._left(pair, box, level)
             seen = self._match(pair, left, box, self._length_at(found, points), reach_px)
             points = seen.points
             if len(points.length_m) < self._settings.min_agreed:
@@ -111,11 +114,24 @@ class StereoRanger:
             if seen.moved_px < predicted_well:
                 break
             reach_px = NEXT_REACH_PX
-        if found is None or found.misfit > MAX_MISFIT:
+        few = max(self._settings.min_agreed, 0.4 * len(points.length_m))
+        if found is None or found.misfit > MAX_MISFIT or found.agreed.sum() < few:
             return "patches disagree"
-        if found.agreed.sum() < max(self._settings.min_agreed, 0.4 * len(found.agreed)):
-            return "patches disagree"
+        if isinstance(target, Cylinder) and lopsided(pair.rig, target, found.x, view, points.pick(found.agreed)):
+            return "patches on one side only"
         return found
+
+    def _begin(self, pair: Pair, box: Box, prior: Prior | None) -> tuple[Target, Points, Fit | None]:
+        """The target, and a first idea of it: as predicted, else through coarse points (an unknown surface: always)."""
+        if prior is not None and not isinstance(self._target, Surface):
+            return self._target, NOTHING, Fit(prior.x, np.eye(len(prior.x)), np.empty(0, bool), 1.0)
+        points = coarse_points(pair.rig, pair.left_image, pair.right_image, box)
+        if points is None:
+            return self._target, NOTHING, None
+        target = self._expect(pair, box, points)
+        if isinstance(target, Cylinder | Plane):  # which end somewhere in a view, and no box tells where
+            points = textured(pair.rig, pair.left_image, box, points)
+        return target, points, self._shape(target, points)
 
     def _shape(self, target: Target, points: Points, guess: Array | None = None) -> Fit | None:
         if isinstance(target, Surface):
@@ -133,6 +149,17 @@ class StereoRanger:
         sine = np.sin(np.arccos(np.clip(sides[0] @ sides[1], -1, 1)) / 2)
         radius = float(np.median(np.linalg.norm(points.p_m, axis=1)) * sine / (1 - 0.8 * sine))
         return Sphere(None, radius, BOX_SIGMA * radius)
+
+    def _levels(self, rig: Rig, box: Box, range_m: float) -> tuple[int, int]:
+        """Halvings at which a large target is matched, at first and in the end.
+
+        One that is large and yet far off keeps the pixels that its range needs, once it is known to a few of them.
+        """
+        large, near = max(box[2], box[3]), rig.focal_outside_px * NEAR_SIZE_M / max(range_m, 0.1)
+        coarse, fine = (
+            max(0, round(np.log2(max(side, 1.0) / self._settings.target_px))) for side in (large, min(large, near))
+        )
+        return coarse, fine
 
     def _reach(self, rig: Rig, prior: Prior, level: int) -> float:
         """Pixels, at the level, that three sigma of the predicted range are worth."""
