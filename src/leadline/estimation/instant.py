@@ -91,9 +91,8 @@ def take_motion(state: State, motion: VehicleMotion, settings: FilterSettings) -
 
 
 def _plain(state: State, m: Measurement) -> Linear:
-    d = 3 + state.k
-    H = np.zeros((len(m.z), len(state.y)))
-    before: Array | None = None
+    d, n = 3 + state.k, len(state.y)
+    H = before = np.empty(0)
 
     def linear(y: Array) -> tuple[Array, Array, float] | None:
         nonlocal H, before
@@ -101,7 +100,7 @@ def _plain(state: State, m: Measurement) -> Linear:
         if seen is None:
             return None
         if seen[1] is not before:  # what is straight may give the same Jacobian each time
-            before, H = seen[1], np.zeros_like(H)
+            before, H = seen[1], np.zeros((len(seen[0]), n))
             H[:, :d] = before
         return seen[0], H, 0.0
 

@@ -54,7 +54,9 @@ class MotionModel:
         """The state at another time; ``turn_rad_s`` (3,): the camera's mean rotation until then, where measured."""
         F, Q = self.step(state, t_ns, turn_rad_s, turn_sigma)
         P = F @ state.P @ F.T
-        P = (P + P.T) / 2 + Q  # rounding must not make it lopsided: that would grow
+        P = P + P.T  # rounding must not make it lopsided: that would grow
+        P *= 0.5
+        P += Q
         return State(t_ns, F @ state.y, P, self.k, state.noise, turn_rad_s, state.refused)
 
     def step(

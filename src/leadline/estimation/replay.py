@@ -88,9 +88,10 @@ class History:
         self.entries = [entry for entry in self.entries if entry.t_ns < t_ns]
 
     def _forget(self) -> None:
-        drop = self.place(self.entries[-1].t_ns - int(self.horizon_s * NS_PER_S)) - 1
-        if drop <= 0:
+        oldest_ns = self.entries[-1].t_ns - int(self.horizon_s * NS_PER_S)
+        if len(self.entries) < 2 or self.entries[1].t_ns > oldest_ns:
             return
+        drop = self.place(oldest_ns) - 1
         if self.keep:
             self.kept += self.entries[:drop]
         del self.entries[:drop]

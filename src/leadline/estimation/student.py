@@ -15,7 +15,7 @@ import numpy as np
 from leadline.estimation.small import dot, filled, inverse, times, trace
 from leadline.samples import Array
 
-STEPS, SETTLED = 20, 1e-3
+STEPS, SETTLED = 20, 0.01
 
 
 @dataclass(frozen=True, slots=True)
