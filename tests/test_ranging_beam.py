@@ -123,7 +123,7 @@ def test_what_is_sought_is_the_beams_image(side: Side) -> None:
     assert sought is not None
     exact = [pixels(length)[side == "right"] for length in (0.8, 1.0, 1.25)]
     off = [float(np.linalg.norm(sought[side].curve_px - q_px, axis=1).min()) for q_px in exact]
-    assert max(off) < 0.6
+    assert max(off) < 0.8  # half a step between its points
     assert sought[side].curve_px[[0, -1]] == pytest.approx(np.array([exact[0], exact[2]]), abs=1e-3)
     assert np.sqrt(sought[side].shape_px2[0, 0]) == pytest.approx(0.0015 * RIG.focal_outside_px, rel=0.1)
 

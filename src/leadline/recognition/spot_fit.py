@@ -25,6 +25,8 @@ GLARE = 0.6  # a saturated spot shows farther out: both grow by this part of the
 SAMPLES = 2.5  # a larger spot is averaged until its sigma is about so many samples
 MAX_STEPS = 12
 SETTLED = 1e-2  # of a sigma: the last step leaves about its square
+HELD, FREE_STEPS = 0.01, 3  # of the form: first held to what is expected, relative (1 sigma), then let go
+LONGEST = np.array([0.7] * 5 + [np.inf] * 4)  # step, sigmas
 SHAPE_SIGMA = 0.5  # how far size and roundness may differ from what is expected, relative
 SUBSAMPLED_PX2 = 3.0  # video keeps colours at half the resolution: below this variance they help less
 
@@ -124,7 +126,7 @@ def _root(a: Array) -> Array:
 
 def _inverse(a: Array) -> Array:
     (p, q), (r, s) = a.tolist()
-    return np.array([[s, -q], [-r, p]]) / (p * s - q * r)
+    return np.asarray(np.array([[s, -q], [-r, p]]) / (p * s - q * r))
 
 
 def _axes(a: Array) -> tuple[float, float]:
@@ -212,43 +214,65 @@ def _mix(window: _Window, variance_px2: float) -> Array:
 
 
 def _solve(u: Array, values: Array, ring: float) -> _Solution | None:
-    """Least squares by Gauss-Newton: centre (2), form (3), height, ground (3); a mild prior holds the form."""
+    """Least squares by Gauss-Newton: the centre with the expected form, then the form that the light really has.
+
+    A form that is held costs the centre nothing, and a top that is cut off cannot bend it.
+    """
     terms = np.empty((9, len(values)))
     terms[6:] = 1.0
     terms[7:] = u
     theta = np.zeros(9)
     _evaluate(theta, u, terms)
-    linear = terms[5:]
-    theta[5:] = np.linalg.solve(linear @ linear.T, linear @ values)
-    prior = np.zeros(9)
-    spare = max(len(values) - 9, 5)
-    for i in range(MAX_STEPS):
-        _evaluate(theta, u, terms)
-        residual = values - theta[5:] @ terms[5:]
-        variance = float(residual @ residual) / spare + 1e-3
-        prior[2:5] = variance / (SHAPE_SIGMA if i > 1 else 0.01) ** 2  # the place first, then the form
-        normal = terms @ terms.T
-        normal.ravel()[::10] += prior + 1e-9
-        step = np.linalg.solve(normal, terms @ residual - prior * theta)
-        step[:5] = np.clip(step[:5], -0.7, 0.7)
+    theta[5:] = np.linalg.solve(terms[5:] @ terms[5:].T, terms[5:] @ values)
+    for _ in range(MAX_STEPS):
+        step, normal, residual, variance = _step(theta, u, values, terms, HELD)
         theta += step
-        if not (abs(theta[2]) < 4 and np.hypot(theta[3], theta[4]) < 0.95 * (1 + theta[2])) or max(abs(theta[:2])) > 3:
+        if max(abs(theta[:2])) > 3:
             return None
         if max(abs(step[:2])) < SETTLED:
-            form = np.array([[1 + theta[2] + theta[3], theta[4]], [theta[4], 1 + theta[2] - theta[3]]])
-            bare = residual[np.einsum("in,in->n", u, u) > ring**2]  # a top that is no Gaussian is not noise
-            noise2 = float(bare @ bare) / len(bare) + 1e-3 if len(bare) >= _MIN_PIXELS else variance
-            return _Solution(
-                theta[:2],
-                form,
-                float(theta[5]),
-                terms,
-                np.asarray(noise2 * np.linalg.inv(normal)),
-                noise2,
-                float(np.sqrt(noise2 / normal[5, 5])),
-                float(np.sqrt(variance)),
-            )
-    return None
+            break
+    else:
+        return None
+    bare = residual[np.einsum("in,in->n", u, u) > ring**2]  # a top that is no Gaussian is not noise
+    noise2 = float(bare @ bare) / len(bare) + 1e-3 if len(bare) >= _MIN_PIXELS else variance
+    form, left = _form(theta, u, values, terms.copy())
+    return _Solution(
+        centre=theta[:2],
+        form=form,
+        height=float(theta[5]),
+        terms=terms,
+        cov=np.asarray(noise2 * np.linalg.inv(normal)),
+        noise2=noise2,
+        height_sigma=float(np.sqrt(noise2 / normal[5, 5])),
+        residual=left,
+    )
+
+
+def _form(theta: Array, u: Array, values: Array, terms: Array) -> tuple[Array, float]:
+    """Inverse covariance (2, 2) of the light, and what it leaves unexplained (RMS); a sliver where it is no spot."""
+    free, variance = theta.copy(), np.inf
+    for _ in range(FREE_STEPS):
+        step, _, _, variance = _step(free, u, values, terms, SHAPE_SIGMA)
+        free += step
+        if not np.hypot(free[3], free[4]) < 0.95 * (1 + free[2]):
+            return np.diag([1.0, 1e4]), float(np.sqrt(variance))
+    form = np.array([[1 + free[2] + free[3], free[4]], [free[4], 1 + free[2] - free[3]]])
+    return form, float(np.sqrt(variance))
+
+
+def _step(theta: Array, u: Array, values: Array, terms: Array, form_sigma: float) -> tuple[Array, Array, Array, float]:
+    """One step of centre (2), form (3), height and ground (3), with the normal matrix, the residual, its variance."""
+    _evaluate(theta, u, terms)
+    residual = values - theta[5:] @ terms[5:]
+    variance = float(residual @ residual) / max(len(values) - 9, 5) + 1e-3
+    normal = terms @ terms.T
+    normal.ravel()[::10] += 1e-9
+    hold = variance / form_sigma**2
+    normal[[2, 3, 4], [2, 3, 4]] += hold
+    pull = terms @ residual
+    pull[2:5] -= hold * theta[2:5]
+    step = np.linalg.solve(normal, pull)
+    return np.clip(step, -LONGEST, LONGEST), normal, residual, variance
 
 
 def _evaluate(theta: Array, u: Array, terms: Array) -> None:
