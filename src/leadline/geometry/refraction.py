@@ -8,7 +8,8 @@ with q = s r:
     g(s) = s * sum_i t_i w_i(s^2 r^2) - 1 = 0
 
 g is concave and increasing, so Newton's method climbs to the root without overshooting once it is below, and nothing is
-singular on the axis (r = 0). It starts from the series about the paraxial s = 1 / sum(t_i / m_i). Compare Agrawal et al., CVPR 2012 (flat refractive geometry).
+singular on the axis (r = 0). It starts from the series about the paraxial s = 1 / sum(t_i / m_i). Compare Agrawal et
+al., CVPR 2012 (flat refractive geometry).
 """
 
 from __future__ import annotations
