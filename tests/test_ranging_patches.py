@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
-from leadline.ranging.images import Float32
+from leadline.ranging.images import Float32, Region, cubic, linear, spline_coefficients
 from leadline.ranging.patches import Limits, Matches, Warp, refine, search
 from leadline.samples import Array
 
@@ -126,3 +127,30 @@ def test_slant_is_followed() -> None:
     right = np.asarray(texture(middle[0] + (X - middle[0]) / stretch, Y), np.float32)
     one = Warp(middle[None], HALF, middle[None], warp.bend[:1], np.array([[1.0, 0.0]]))
     assert refine(left, right, one, np.zeros(1)).shift_px == pytest.approx(0.0, abs=0.01)
+
+
+def test_sampling_is_exact() -> None:
+    """Linear on a ramp, where OpenCV 4's tables of 1/32 px show; cubic against SciPy's spline of the same noise."""
+    rng = np.random.default_rng(7)
+    x, y = (rng.uniform(20, 80, (40, 50)).astype(np.float32) for _ in range(2))
+    v, u = np.mgrid[0:100, 0:100].astype(np.float32)
+    np.testing.assert_allclose(linear(2 * u - v, x, y), 2 * x - y, atol=1e-3)
+    image = rng.uniform(0, 255, (100, 100)).astype(np.float32)
+    reference = ndimage.map_coordinates(image.astype(float), [y.astype(float), x.astype(float)], order=3, mode="mirror")
+    np.testing.assert_allclose(cubic(spline_coefficients(image), x, y), reference, atol=0.2)
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_a_region_knows_where_it_is(level: int) -> None:
+    """A ramp's grey levels are its columns, at any level and wherever the region is cut."""
+    ramp = np.tile(np.arange(200, dtype=np.uint8), (120, 1))
+    region = Region.of(ramp, level, np.array([37.0, 21.0]), np.array([150.0, 90.0]))
+    here = region.to_here(np.array([[101.0, 50.0]]))
+    seen = cubic(spline_coefficients(region.grey), *here.T[:, :, None].astype(np.float32))
+    assert seen[0, 0] == pytest.approx(101.0, abs=0.6)  # the first halving rounds to whole grey levels
+    np.testing.assert_allclose(region.to_full(here), [[101.0, 50.0]])
+
+
+def test_a_box_beyond_the_image_gives_a_small_region() -> None:
+    region = Region.of(np.zeros((120, 200, 3), np.uint8), 2, np.array([900.0, 900.0]), np.array([1000.0, 1000.0]))
+    assert min(region.grey.shape) >= 4
