@@ -37,7 +37,7 @@ class Look:
 
 LOOKS = {
     "bright": Look(0.5),
-    "dim": Look(0.035),
+    "dim": Look(0.04),
     "saturated": Look(12.0, lengths_m=(0.4, 1.5)),
     "elongated": Look(0.5, tilt_deg=45.0, lengths_m=(0.4, 1.5)),
     "ball": Look(0.5, tilt_deg=45.0, ball=True, lengths_m=(0.4, 1.5)),
