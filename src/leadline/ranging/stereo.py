@@ -170,7 +170,7 @@ class StereoRanger:
 
     def _left(self, pair: Pair, box: Box, level: int) -> Region:
         low, size = np.array(box[:2]), np.array(box[2:])
-        margin = (LARGER * self._settings.half_px + 4) * 2**level
+        margin = (LARGER * self._settings.half_px / 2 + 4) * 2**level  # patches stand over the box by half of theirs
         return Region.of(pair.left_image, level, low - margin, low + size + margin)
 
     def _length_at(self, found: Fit, points: Points) -> LengthAt:
