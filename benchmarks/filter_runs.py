@@ -45,11 +45,10 @@ class Outcome:
         return float(1.96 * np.sqrt(6 / len(self.rms_m)))
 
 
-def experiment(plan: Plan, runs: int, settings: FilterSettings | None = None, inflate: float = 1.0) -> Outcome:
-    """``inflate``: of the stated covariances, to see whether the tests would notice."""
+def experiment(plan: Plan, runs: int, settings: FilterSettings | None = None) -> Outcome:
     dives = draw(plan, runs)
     late = dives.arrival_s > SETTLED_S
-    ours = [_run(dives, run, settings or FilterSettings(), inflate) for run in range(runs)]
+    ours = [_run(dives, run, settings or FilterSettings()) for run in range(runs)]
     error = np.array([one.now_m for one in ours]) - dives.now_m
     frames = late & ~dives.is_laser
     stamp = np.array([one.then_m for one in ours]) - dives.truth_m
@@ -103,7 +102,7 @@ class _Run:
     step_us: Array
 
 
-def _run(dives: Dives, run: int, settings: FilterSettings, inflate: float) -> _Run:
+def _run(dives: Dives, run: int, settings: FilterSettings) -> _Run:
     count = len(dives.t_s)
     now, then = np.zeros((count, 3)), np.full((count, 3), np.nan)
     nees, nis = np.zeros(count), np.full(count, np.nan)
@@ -116,7 +115,7 @@ def _run(dives: Dives, run: int, settings: FilterSettings, inflate: float) -> _R
             if m.kind is Kind.STEREO and dives.good[run, k]:
                 predicted = filt.at(m.t_ns)
                 off = m.z - predicted.x
-                nis[k] = off @ np.linalg.solve(inflate * (predicted.cov + m.cov), off)
+                nis[k] = off @ np.linalg.solve(predicted.cov + m.cov, off)
             begin = time.process_time()
             filt.add(m.t_ns, [m])
             spent.append(time.process_time() - begin)
@@ -124,7 +123,7 @@ def _run(dives: Dives, run: int, settings: FilterSettings, inflate: float) -> _R
         estimate = filt.at(_ns(dives.arrival_s[k]))
         now[k] = estimate.x
         error = now[k] - dives.now_m[run, k]
-        nees[k] = error @ np.linalg.solve(inflate * estimate.cov, error)
+        nees[k] = error @ np.linalg.solve(estimate.cov, error)
     return _Run(now, then, nees, nis, 1e6 * np.array(spent))
 
 
