@@ -26,6 +26,7 @@ SIDES: tuple[Side, Side] = ("left", "right")
 SURFACE_RADIUS_M = 0.2  # of the piece of an unknown surface that the box is taken to show
 MARGIN_PX = 4.0  # from the border of an image
 ROUND_INSET = 0.9  # of a round target's box
+PICKED = 1.13  # patches are put where the texture is richest: their slope over that of the whole target
 EDGES = 60  # directions about a ball
 
 
@@ -44,7 +45,7 @@ class Conditions:
     noise_grey: float = 1.6
     texture_grey_px: float = 2.4
     attenuation_per_m: float = 0.2
-    unlike_px_per_rad: float = 0.4
+    unlike_px_per_rad: float = 0.38
     spot_px: float = 0.07
     frames_hz: float = 10.0
     readings_hz: float = 3.0
@@ -58,7 +59,7 @@ class Conditions:
         averaged by shrinking: what remains of the level is nothing.
         """
         texture = self.texture_grey_px * float(np.exp(-self.attenuation_per_m * distance_m))
-        noise_px = np.sqrt(2) * self.noise_grey / 2**level / (texture * side_px)
+        noise_px = np.sqrt(2) * self.noise_grey / 2**level / (PICKED * texture * side_px)
         return float(np.hypot(noise_px * 2**level, self.unlike_px_per_rad * parallax_rad))
 
 
@@ -160,8 +161,9 @@ def _grid(box: Box, patches: int, half_px: float, round_inset: float | None) -> 
     cells = np.maximum(np.round((size - half_px) / step), 1).astype(int)
     across = [(np.arange(n) + 0.5) / n for n in cells]
     part = np.stack(np.meshgrid(*across), axis=-1).reshape(-1, 2)
-    if round_inset is not None:
-        part = part[((2 * part - 1) ** 2).sum(axis=1) < round_inset**2]
+    if round_inset is not None:  # a cell counts if the nearest of the places tried in it is inside
+        nearest = np.maximum(np.abs(2 * part - 1) - 2 / (3 * cells), 0.0)
+        part = part[(nearest**2).sum(axis=1) < round_inset**2]
     return low + part * size, step
 
 
