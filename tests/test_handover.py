@@ -1,0 +1,194 @@
+"""Hand-overs: when a kind of measurement joins or goes, the solution moves by no more than it should.
+
+Simulated approaches, each a few frames from somewhere between 2.2 and 0.25 m, with its own texture, way and noise. At
+the last frame the localizer goes on twice, with and without one kind of measurement: that is the hand-over, seen from
+either side. For an estimator whose covariance P is true, the step between the two solutions has the variance
+P_without - P_with, so the squared steps in such sigmas are chi-square. And the mean step shows a bias between kinds.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from leadline.localizer import Localizer
+from leadline.samples import Array, Detection, Kind, LaserRange, Measurement, Rejected, StereoFrame
+from leadline.simulation.dive import SimulatedDive
+from leadline.simulation.scenario import Scenario
+from leadline.target import Sphere
+
+SHORT, LONG = 8, 200
+FALSE_ALARM = 0.01
+MEAN_STEP_M = 0.0005
+RESOLUTION_M = 0.0001
+NEAREST_M, FARTHEST_M = 0.25, 2.2
+FRAMES = 5
+BALL = Sphere(0.34)
+JOINS = {  # who is there before, and who joins (or, seen backwards, goes)
+    "laser": ({Kind.STEREO, Kind.SIZE}, {Kind.LASER}),
+    "spot": ({Kind.STEREO, Kind.SIZE, Kind.LASER}, {Kind.SPOT}),
+    "stereo": ({Kind.LASER, Kind.SPOT, Kind.SIZE}, {Kind.STEREO}),
+    "outline": ({Kind.STEREO, Kind.LASER, Kind.SPOT}, {Kind.SIZE}),
+    "beam after stereo alone": ({Kind.STEREO}, {Kind.LASER, Kind.SPOT}),
+}
+
+
+@dataclass(frozen=True)
+class Step:
+    """Range with the kind minus without it, and the variance that it should have; the distance."""
+
+    distance_m: float
+    step_m: float
+    variance_m2: float
+
+
+class Boxed:
+    def __init__(self, dive: SimulatedDive) -> None:
+        self._boxes = {f["name"]: f["box_left_px"] for f in dive.details["frames"]}
+
+    def find(self, frame: StereoFrame) -> list[Detection]:
+        x0, y0, x1, y1 = self._boxes[frame.name] or (0, 0, 0, 0)
+        return [Detection((x0, y0, x1 - x0, y1 - y0), 1.0)] if x1 > x0 else []
+
+
+class Choosy:
+    """A localizer's eyes that keep back what is not allowed."""
+
+    def __init__(self, localizer: Localizer) -> None:
+        self._sight = localizer._sight
+        self.allowed: set[Kind] = set(Kind)
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self.__dict__["_sight"], name)
+
+    def __deepcopy__(self, memo: dict[int, object]) -> Choosy:
+        fresh = object.__new__(Choosy)
+        fresh._sight, fresh.allowed = copy.deepcopy(self._sight, memo), set(self.allowed)
+        return fresh
+
+    def measure(self, *arguments: object) -> list[Measurement | Rejected]:
+        found = self._sight.measure(*arguments)  # type: ignore[arg-type]
+        return [one for one in found if one.kind in self.allowed]
+
+
+@cache
+def approach(seed: int) -> tuple[SimulatedDive, tuple[StereoFrame, ...], tuple[LaserRange, ...]]:
+    """A few frames out of a whole approach at 640 x 360, around a distance, with a reading at every frame's time."""
+    rng = np.random.default_rng((17, seed))
+    scenario = Scenario.load("approach")
+    distance_m = float(np.exp(rng.uniform(np.log(NEAREST_M), np.log(FARTHEST_M))))
+    beside_m = rng.uniform(-0.06, 0.06, 2)  # the ball beside the beam
+    path = scenario.path.model_copy(
+        update={
+            "offset_m": (-0.04 - 0.061 * distance_m + beside_m[0], 0.088 - 0.026 * distance_m + beside_m[1]),
+            "start_m": 3.0,
+        }
+    )
+    dive = SimulatedDive(scenario.model_copy(update={"path": path}), seed=1000 + seed)
+    ranges = np.array([dive.truth_at(instant.t_ns).range_m for instant in dive._frame_times])
+    last = max(int(np.argmin(np.abs(ranges - distance_m))), FRAMES - 1)
+    dive._frame_times = dive._frame_times[last + 1 - FRAMES : last + 1]  # the rest is not rendered
+    dive._laser_times = []
+    frames = tuple(sample for sample in dive.samples() if isinstance(sample, StereoFrame))
+    assert len(frames) == FRAMES
+    return dive, frames, tuple(_readings(dive, frames, rng))
+
+
+def _readings(dive: SimulatedDive, frames: tuple[StereoFrame, ...], rng: np.random.Generator) -> list[LaserRange]:
+    """One at each frame's time, where the beam meets the ball."""
+    laser = dive.rig.laser
+    assert laser is not None
+    readings = []
+    for frame in frames:
+        centre = np.array(dive.truth_at(frame.t_ns).position_m)
+        length = float(BALL.beam_length(centre, laser.origin_m[None], laser.direction[None])[0][0])
+        if np.isfinite(length):
+            raw_m = laser.raw_m(length) + laser.range_sigma_m * float(rng.standard_normal())
+            readings.append(LaserRange(frame.t_ns, raw_m))
+    return readings
+
+
+def step(seed: int, before: set[Kind], joins: set[Kind]) -> Step | None:
+    """The last frame with and without; None where the kinds that join have nothing to say there."""
+    dive, frames, readings = approach(seed)
+    localizer = Localizer(dive.rig, BALL, Boxed(dive))
+    localizer._sight = Choosy(localizer)  # type: ignore[assignment]
+
+    def take(one: Localizer, frame: StereoFrame, allowed: set[Kind]) -> tuple[float, float, set[Kind]]:
+        one._sight.allowed = allowed  # type: ignore[attr-defined]
+        used: set[Kind] = set()
+        for reading in readings:
+            if reading.t_ns == frame.t_ns and Kind.LASER in allowed:
+                told = one.step(reading)
+                used |= set() if told is None else set(told.used)
+        solution = one.step(frame)
+        assert solution is not None
+        if solution.range_m is None or solution.range_sigma_m is None:
+            return float("nan"), float("nan"), used
+        return solution.range_m, solution.range_sigma_m, used | set(solution.used)
+
+    for frame in frames[:-1]:
+        take(localizer, frame, before if frame is not frames[0] else before | {Kind.STEREO, Kind.SIZE})
+    other = copy.deepcopy(localizer)
+    without_m, sigma_without, _ = take(localizer, frames[-1], before)
+    with_m, sigma_with, used = take(other, frames[-1], before | joins)
+    if not used & joins or not np.isfinite([without_m, with_m]).all():
+        return None
+    variance = sigma_without**2 - sigma_with**2
+    return Step(dive.truth_at(frames[-1].t_ns).range_m, with_m - without_m, variance)
+
+
+def steps(name: str, count: int) -> list[Step]:
+    found = [step(seed, *JOINS[name]) for seed in range(count)]
+    return [one for one in found if one is not None]
+
+
+def sigmas(found: list[Step]) -> Array:
+    """Steps (N,) in the sigmas that they should have; less than a tenth of a millimetre is no step."""
+    return np.array([one.step_m / np.sqrt(max(one.variance_m2, 0.0) + RESOLUTION_M**2) for one in found])
+
+
+def passes(z: Array) -> bool:
+    """The sum of squares against the 99 % point of its chi-square law."""
+    return bool((z**2).sum() <= stats.chi2.ppf(1 - FALSE_ALARM, len(z)))
+
+
+def report(name: str, found: list[Step]) -> str:
+    z, step_mm = sigmas(found), 1e3 * np.array([one.step_m for one in found])
+    return (
+        f"{name}: {len(z)} steps, mean {step_mm.mean():+.3f} mm, rms {np.sqrt((step_mm**2).mean()):.3f} mm, "
+        f"z^2 {(z**2).mean():.2f} on average, |z| at most {np.abs(z).max():.1f}"
+    )
+
+
+def check(name: str, count: int) -> None:
+    found = steps(name, count)
+    assert len(found) >= 0.6 * count
+    told = report(name, found)
+    assert passes(sigmas(found)), told
+    assert abs(np.mean([one.step_m for one in found])) <= MEAN_STEP_M, told
+
+
+@pytest.mark.parametrize("name", JOINS)
+def test_the_solution_does_not_jump(name: str) -> None:
+    check(name, SHORT)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", JOINS)
+def test_the_solution_does_not_jump_in_two_hundred_approaches(name: str) -> None:
+    check(name, LONG)
+
+
+def test_a_jump_would_be_found() -> None:
+    """Steps of twice the sigma, or a bias between the kinds of one sigma: both fail the test in the short form."""
+    rng = np.random.default_rng(2)
+    z = rng.standard_normal(SHORT)
+    assert passes(z)
+    assert not passes(2 * z)
+    assert not passes(rng.standard_normal(LONG) + 1)
