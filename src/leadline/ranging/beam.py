@@ -17,7 +17,7 @@ from leadline.rig import Rig, Side
 from leadline.samples import Array, Kind, LaserRange, Measurement, Rejected
 from leadline.target import Target
 
-MAX_SLOPE = 3.0  # a beam that grazes the surface says more about the limb than about the distance
+MAX_SLOPE = 1.5  # a beam that grazes the surface says more about the limb than about the distance
 TYPICAL_M = 1.0  # where the calibration's error along the beam is taken: offset and scale hardly differ over the range
 BLUR_PX = 0.7  # of any lens and sensor
 SIDES: tuple[Side, Side] = ("left", "right")
