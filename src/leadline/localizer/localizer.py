@@ -19,7 +19,7 @@ from leadline.config import Config
 from leadline.estimation import Estimate, Filter, FilterSettings
 from leadline.localizer.agreement import Agreement
 from leadline.localizer.blind import held
-from leadline.localizer.doubt import Doubt
+from leadline.localizer.doubt import SURPRISE, Doubt
 from leadline.localizer.laser import LaserSight
 from leadline.localizer.motion import as_of_target, skew_of, taken_ns
 from leadline.localizer.sight import VISION, Found, Sight
@@ -201,7 +201,7 @@ class Localizer:
     def _agrees(self, one: Measurement, before: Estimate) -> bool:
         off = one.z[:3] - before.x[:3]
         chi2 = float(off @ np.linalg.solve(one.cov[:3, :3] + before.cov[:3, :3], off))
-        return chi2 < self._config.filter.gate_sigmas**2
+        return chi2 < SURPRISE  # stricter than the filter's gate: it has a contradiction to settle
 
     def _believable(self, measurements: list[Measurement], before: Estimate | None) -> list[Measurement]:
         """A spot on a target that is not seen itself tells a distance only."""
