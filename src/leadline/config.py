@@ -51,7 +51,7 @@ class PaperConfig(Section):
 class StereoConfig(Section):
     """Matching patches of the target between the two images."""
 
-    patches: int = Field(60, ge=20, description="about how many patches are matched on the target")
+    patches: int = Field(120, ge=20, description="about how many patches are matched on the target")
     half_px: int = Field(
         11, ge=4, le=40, description="a patch is a square of 2 half + 1 pixels, on a small target less"
     )
