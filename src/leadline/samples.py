@@ -113,7 +113,8 @@ class Measurement:
     """A measurement of the target's state: z = h(x) + noise.
 
     ``predict`` takes the target's vector x = (position (3,), shape (k,)) and gives h(x) (m,) and its Jacobian
-    (m, 3 + k), or None where x cannot give this measurement at all (the beam misses the target).
+    (m, 3 + k), or None where x cannot give this measurement at all (the beam misses the target). ``common`` (m,): that
+    part of ``cov`` which all measurements of an outline share, one sigma of it (all edges are found a little inside).
     """
 
     kind: Kind
@@ -121,6 +122,7 @@ class Measurement:
     z: Array
     cov: Array
     predict: Callable[[Array], tuple[Array, Array] | None]
+    common: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -141,7 +141,8 @@ class Filter:
         self.start(first.t_ns, first.z, first.cov)
         begin = self._history.entries[0].after
         if len(begin.y) == len(before.y):
-            begin.y[-1], begin.P[-1, -1] = before.y[-1], before.P[-1, -1]  # the clock goes on as it did
+            for i in (-2, -1):  # the outline's error and the clock go on as they did
+                begin.y[i], begin.P[i, i] = before.y[i], before.P[i, i]
         self._history.begin(replace(begin, noise=before.noise))
         for t_ns, inputs in since:
             self._history.insert(t_ns, inputs, self._apply)

@@ -41,7 +41,9 @@ def take(state: State, measurements: Sequence[Measurement], settings: FilterSett
 def _take(state: State, m: Measurement, settings: FilterSettings) -> tuple[State, float | Refused]:
     """The state after it with the innovation's normalised square, or the state as it was with why."""
     scale = state.noise.scale(m.kind)
-    cov = m.cov if scale == 1.0 else m.cov * scale
+    cov = m.cov if m.common is None else m.cov - m.common[:, None] * m.common
+    if scale != 1.0:
+        cov = cov * scale
     linear = _reading(state, m) if m.kind is Kind.LASER else _plain(state, m)
     result = update(state.y, state.P, m.z, cov, linear, settings.gate_sigmas, settings.student_nu)
     refusals = state.refused
@@ -102,7 +104,9 @@ def _plain(state: State, m: Measurement) -> Linear:
         if seen[1] is not before:  # what is straight may give the same Jacobian each time
             before, H = seen[1], np.zeros((len(seen[0]), n))
             H[:, :d] = before
-        return seen[0], H, 0.0
+            if m.common is not None:
+                H[:, -2] = m.common
+        return seen[0] if m.common is None else seen[0] + y[-2] * m.common, H, 0.0
 
     return linear
 

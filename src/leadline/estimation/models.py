@@ -19,6 +19,7 @@ from leadline.estimation.settings import FilterSettings
 from leadline.estimation.state import State
 from leadline.samples import NS_PER_S, Array
 
+COMMON_S = 10.0  # how long light and water let all edges of an outline err alike
 CLOCK_WALK_S = 5e-4  # how far clocks drift apart, per square root of a second
 SHORT = 0.02  # of the time constant: below, Singer's noise is taken from its first terms (the full ones cancel)
 
@@ -30,7 +31,7 @@ class MotionModel:
         self._settings = settings
         self._derivatives = 2 if settings.model == "acceleration" else 1
         self.k = len(shape_walk)
-        self.size = 3 + self.k + 3 * self._derivatives + 1
+        self.size = 3 + self.k + 3 * self._derivatives + 2
         self._eye = np.eye(self.size)
         walk = np.zeros(self.size)
         walk[3 : 3 + self.k] = shape_walk**2
@@ -45,7 +46,7 @@ class MotionModel:
         variance = np.full(self.size, settings.initial_speed_m_s**2)
         if self._derivatives == 2:
             variance[d + 3 : d + 6] = settings.acceleration_psd / (2 * settings.manoeuvre_s)  # once it is stationary
-        variance[-1] = settings.laser_clock_sigma_s**2
+        variance[-2], variance[-1] = 1.0, settings.laser_clock_sigma_s**2
         y, P = np.zeros(self.size), np.diag(variance)
         y[:d], P[:d, :d] = x, cov
         return State(t_ns, y, P, self.k, Noise(settings.acceleration_psd))
@@ -65,6 +66,8 @@ class MotionModel:
         """F and Q (n, n) of ``predict``."""
         dt, psd = (t_ns - state.t_ns) / NS_PER_S, state.noise.acceleration_psd
         F, Q = self._eye.copy(), abs(dt) * self._walk
+        F[-2, -2] = exp(-abs(dt) / COMMON_S)
+        Q[-2, -2] = 1 - F[-2, -2] ** 2
         if self._derivatives == 1:
             self._block(F, 0, 1, dt)
             noise = white_acceleration(dt)

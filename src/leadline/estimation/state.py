@@ -1,7 +1,8 @@
 """What the filter knows at one time, inside (``State``) and told outside (``Estimate``).
 
-The inner vector is y = (position (3,), shape (k,), velocity (3,), [acceleration (3,)], laser clock tau), so that what
-measurements see, x = (position, shape), and the velocity are slices. tau: a reading stamped t was taken at t + tau.
+The inner vector is y = (position (3,), shape (k,), velocity (3,), [acceleration (3,)], outline's error, laser clock
+tau), so that what measurements see, x = (position, shape), and the velocity are slices. The outline's error counts in
+sigmas of ``Measurement.common``. tau: a reading stamped t was taken at t + tau.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ go through the localizer's own fits: their covariances are those that the locali
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -104,9 +104,9 @@ def _ring(towards: Array, count: int) -> Array:
     return np.asarray(np.stack([np.cos(turn), np.sin(turn)], axis=1) @ np.linalg.svd(towards[None])[2][1:])
 
 
-def _expected(kind: Kind, z: Array, cov: Array) -> Measurement:
+def _expected(kind: Kind, z: Array, cov: Array, common: Array | None = None) -> Measurement:
     eye = np.eye(len(z))
-    return Measurement(kind, 0, z, cov, lambda x: (x, eye))
+    return Measurement(kind, 0, z, cov, lambda x: (x, eye), common)
 
 
 def expected_stereo(
@@ -182,7 +182,7 @@ def expected_size(rig: Rig, target: Target, settings: OutlineConfig, x: Array) -
         return None
     inverse = np.linalg.inv((gradient.T * weight) @ gradient)
     common = inverse @ (gradient.T @ (weight * worth)) * settings.bias_sigma_px
-    return _expected(Kind.SIZE, x, inverse + np.outer(common, common))
+    return _expected(Kind.SIZE, x, inverse + np.outer(common, common), common)
 
 
 def _grazing(rig: Rig, target: Sphere, settings: OutlineConfig, x: Array, side: Side) -> tuple[Array, Array]:
@@ -227,11 +227,13 @@ class ExpectedSight(Sight):
         vars(self).update(vars(sight))  # its tables take long to make
         self.expected: list[Measurement] = []
         self._rng = np.random.default_rng(seed)
+        self._common = float(self._rng.standard_normal())  # one error of all outlines
 
     def measure(self, frame: StereoFrame, box: Box, before: Estimate | None, skew: Skew) -> Found:
         return [self._noisy(one, frame.t_ns, skew) for one in self.expected]
 
     def _noisy(self, one: Measurement, t_ns: int, skew: Skew) -> Measurement:
-        z = one.z + np.linalg.cholesky(one.cov) @ self._rng.standard_normal(len(one.z))
-        drawn = Measurement(one.kind, t_ns, z, one.cov, one.predict)
+        common = np.zeros(len(one.z)) if one.common is None else one.common
+        noise = np.linalg.cholesky(one.cov - np.outer(common, common)) @ self._rng.standard_normal(len(one.z))
+        drawn = replace(one, t_ns=t_ns, z=one.z + noise + self._common * common)
         return drawn if one.kind is Kind.SPOT else self._honest(drawn, skew)

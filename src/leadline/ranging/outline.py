@@ -78,11 +78,11 @@ class OutlineRanger:
             found = found if isinstance(found, str) else self._settle(pair, sides, found[0], close)
         if isinstance(found, str):
             return Rejected(Kind.SIZE, t_ns, found)
-        ball, cov = found
+        ball, noise, common = found
         eye = np.eye(len(ball))
-        return Measurement(Kind.SIZE, t_ns, ball, cov, lambda x: (x, eye))
+        return Measurement(Kind.SIZE, t_ns, ball, noise + np.outer(common, common), lambda x: (x, eye), common)
 
-    def _settle(self, pair: Pair, sides: Sequence[Side], ball: Array, reach: float) -> tuple[Array, Array] | str:
+    def _settle(self, pair: Pair, sides: Sequence[Side], ball: Array, reach: float) -> tuple[Array, Array, Array] | str:
         """Fit until the normals start from where the ball is found, so that none is cut short."""
         for _ in range(PASSES):
             found = self._fit(self._edges(pair, sides, ball, reach), ball)
@@ -142,8 +142,11 @@ class OutlineRanger:
         gradient[:, :3] = aside / distance[:, None]
         return distance - self._target.radius_m(ball), gradient
 
-    def _fit(self, edges: _Edges, ball: Array) -> tuple[Array, Array] | str:
-        """Gauss-Newton with Cauchy weights; a bias common to all edges (blur, shading) stays in the covariance."""
+    def _fit(self, edges: _Edges, ball: Array) -> tuple[Array, Array, Array] | str:
+        """The ball, its noise (n, n), and what an error common to all edges (blur, shading) does to it (n,).
+
+        Gauss-Newton with Cauchy weights.
+        """
         if len(edges.m_per_px) < self._settings.min_edges:
             return "too little outline"
         sigma = self._settings.edge_sigma_px * edges.m_per_px
@@ -169,7 +172,7 @@ class OutlineRanger:
             return "no round outline"
         inverse = np.linalg.inv(information)
         common = inverse @ (weighted @ edges.m_per_px) * self._settings.bias_sigma_px
-        return ball, inverse * scale**2 + np.outer(common, common)
+        return ball, np.asarray(inverse * scale**2), common
 
 
 def _median(values: Array) -> float:
