@@ -80,7 +80,7 @@ def load(source: str | None) -> tuple[list[Sample], Rig, dict[int, list[Detectio
     if source is None:
         scenario = Scenario.load("approach")
         path = scenario.path.model_copy(update={"start_m": 2.2, "end_m": 0.25, "speed_m_s": 0.4, "dwell_s": 0.0})
-        camera = scenario.camera.model_copy(update={"rate_hz": 3.0})
+        camera = scenario.camera.model_copy(update={"rate_hz": 3.0, "image_width_px": rig.left.width})
         dive = SimulatedDive(scenario.model_copy(update={"path": path, "camera": camera}), rig=rig)
         samples = list(dive.samples())
         ends = {f["name"]: f["box_left_px"] for f in dive.details["frames"]}

@@ -46,6 +46,7 @@ class Agreement:
         self._pairs: deque[tuple[float, float, float, float]] = deque(maxlen=KEPT)  # difference, speed, noise, common
         self._beside: deque[tuple[float, float]] = deque(maxlen=SPOTS)  # spot against surface: difference, sigma
         self._contradictions = 0
+        self._known_offset: tuple[float, float] | None = None
         self.clock_s = 0.0  # a reading stamped t was taken at t + clock_s: told only where it is far off
         self.notices: dict[str, str] = {}
 
@@ -118,6 +119,7 @@ class Agreement:
         noise = (1 - part) ** 2 * before.variance_m2 + part**2 * after.variance_m2 + reading.variance_m2
         common = max(before.common_m2, after.common_m2) + reading.common_m2
         self._pairs.append((reading.length_m - length, speed, noise, common))
+        self._known_offset = None
         if len(self._pairs) >= LEAST:
             self._tell(length)
 
@@ -139,6 +141,7 @@ class Agreement:
 
     def _correct(self, clock_s: float) -> None:
         self.clock_s, late = clock_s, "early" if clock_s > 0 else "late"
+        self._known_offset = None
         if abs(clock_s) > CLOCK_TOLD_S:
             self.notices["clock"] = (
                 f"the laser's stamps are {abs(clock_s):.2f} s too {late}: corrected, but set its clock"
@@ -146,7 +149,9 @@ class Agreement:
 
     def _offset(self) -> tuple[float, float]:
         """Of the last readings, with its variance."""
-        return self._fit(self.clock_s, WIDE_CLOCK_S if "clock" in self.notices else CLOCK_SIGMA_S)[0]
+        if self._known_offset is None:
+            self._known_offset = self._fit(self.clock_s, WIDE_CLOCK_S if "clock" in self.notices else CLOCK_SIGMA_S)[0]
+        return self._known_offset
 
     def _tell(self, length_m: float) -> None:
         clock, clock_variance = self._fit(0.0, WIDE_CLOCK_S)[1]

@@ -313,4 +313,4 @@ def _positions(measurements: Sequence[Measurement]) -> list[Measurement]:
 
 
 def _same(image: Image, last: Image) -> bool:
-    return image.shape == last.shape and np.array_equal(image[::8, ::8], last[::8, ::8])
+    return image.shape == last.shape and np.array_equal(image[::64], last[::64])  # whole rows: they lie together

@@ -194,7 +194,8 @@ class StereoRanger:
         rounds = []
         for larger in (1.0, LARGER):
             half = int(larger * np.clip(side / 8, settings.min_half_px, settings.half_px))
-            count = int(settings.patches / larger)
+            covers = float(np.clip((side / (2 * half + 1)) ** 2, settings.patches / 2, settings.patches))
+            count = int((covers if left.level else settings.patches) / larger)  # no pixel is spare on a small target
             centre_px = centres(left, low + half / 2, high - half / 2, half, count, inset)
             rounds.append(self._match_patches(pair, left, centre_px, half, length_at, reach_px))
             if len(rounds[-1].points.length_m) > ENOUGH * len(centre_px):
