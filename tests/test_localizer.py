@@ -11,7 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from leadline.config import Config
 from leadline.localizer import Localizer
+from leadline.localizer.sight import Sight
 from leadline.rig import Rig
 from leadline.rig_parameters import get, replaced
 from leadline.samples import Kind, Sample, Solution, Stage
@@ -85,3 +87,14 @@ def test_a_wrong_rig_is_noticed(fault: str, filtered: bool) -> None:
     rig = wrong_index(dive.rig) if fault == "index" else tilted(dive.rig, int(fault == "tilt-y"))
     solutions = solve(dive, Sphere(0.34), rig=rig, filtered=filtered)
     assert turned_away(solutions, Kind.SPOT, Kind.LASER, Kind.STEREO) >= 5
+
+
+def test_a_small_box_of_a_known_ball_tells_how_far_off_it_is() -> None:
+    """At 5 m a ball of 0.34 m is seen under four degrees: nothing may hold its first idea nearer than that."""
+    rig, ball, radius_m = Rig.load("rendered"), Sphere(0.34), 0.17
+    centre = np.array([0.1, 0.05, 5.0])
+    rim = [centre + radius_m * np.array(way) for way in ([1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0])]
+    q_px = rig.project(np.array(rim))[0]
+    (x, y), (width, height) = q_px.min(axis=0), np.ptp(q_px, axis=0)
+    idea = Sight(rig, ball, Config(), None)._idea((float(x), float(y), float(width), float(height)))
+    assert np.linalg.norm(idea - centre) < 0.05

@@ -19,6 +19,7 @@ from leadline.samples import Array, Kind, Measurement, Rejected, StereoFrame
 from leadline.target import Sphere, Target
 
 POOR = 0.1  # a range less certain than this part of itself is no prediction
+FAR_SINE = 0.005  # of half the angle that a ball is seen under: smaller ones are not believed
 VISION = frozenset({Kind.STEREO, Kind.SIZE})
 Found = list[Measurement | Rejected]
 
@@ -91,7 +92,7 @@ class Sight:
         if isinstance(self._target, Sphere) and self._target.diameter_m is not None:
             sides = self._rig.rays(np.array([[x, y + height / 2], [x + width, y + height / 2]]), "left")[1]
             angle = float(np.arccos(np.clip(sides[0] @ sides[1], -1, 1))) / 2
-            return float(self._target.diameter_m / 2 / max(np.sin(angle), 0.05))
+            return float(self._target.diameter_m / 2 / max(np.sin(angle), FAR_SINE))
         return (self._laser.last_length_m() if self._laser is not None else None) or 1.0
 
     def _range_sigma(self, x: Array, cov: Array) -> float:
