@@ -11,6 +11,7 @@ loose on the bare surface around the spot, and what it makes of that widens the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil, hypot
 
 import cv2
 import numpy as np
@@ -25,7 +26,7 @@ GLARE = 0.6  # a saturated spot shows farther out: both grow by this part of the
 SAMPLES = 2.5  # a larger spot is averaged until its sigma is about so many samples
 MAX_STEPS = 12
 SETTLED = 1e-2  # of a sigma: the last step leaves about its square
-HELD, FREE_STEPS = 0.01, 2  # of the form: first held to what is expected, relative (1 sigma), then let go
+HELD = 0.01  # of the form: first held to what is expected, relative (1 sigma), then let go
 LONGEST = np.array([0.7] * 5 + [np.inf] * 4)  # step, sigmas
 SHAPE_SIGMA = 0.5  # how far size and roundness may differ from what is expected, relative
 SUBSAMPLED_PX2 = 3.0  # video keeps colours at half the resolution: below this variance they help less
@@ -67,8 +68,10 @@ class _Window:
     surface: Array  # (h, w) how they look themselves, in green light
     ring: float  # beyond so many sigmas is bare ground
     near: tuple[slice, slice]  # the fitted window in them
-    clear: NDArray[np.intp]  # which samples of the fitted window are not saturated
-    u: Array  # (2, n) places of the fitted window's samples: the expected spot is the unit circle
+    inner: Array  # (m, C) its samples
+    r2: Array  # (m,) their square distance from the start: the expected spot is the unit circle
+    clear: NDArray[np.intp]  # (n,) which of them are not saturated
+    u: Array  # (2, n) the places of those
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,17 +92,17 @@ def fit_spot(image: Image, start_px: Array, shape_px2: Array, dark: Image | None
     image: (H, W, 3) BGR or (H, W) grey. dark: the same view without the laser, aligned; then the difference counts.
     """
     root = _root(shape_px2)
-    start_px, glare = _glare(image, start_px, np.sqrt(np.diag(shape_px2)))
-    window = _cut(image, dark, start_px, root, glare)
+    start_px, glare = _glare(image, start_px, np.sqrt(shape_px2.diagonal()))
+    window = _cut(image, dark, start_px, shape_px2, root, glare)
     if window is None:
         return None
-    mixed = window.values @ _mix(window, float(root[0, 0] * root[1, 1]))
-    u = window.u[:, window.clear]
-    found = _solve(u, mixed[window.near].ravel()[window.clear], window.ring)
+    mix = _mix(window, float(root[0, 0] * root[1, 1]))
+    clear = window.inner[window.clear]
+    found = _solve(window, clear @ mix)
     if found is None:
         return None
-    growth = _growth(mixed, window, found)
-    spread = _spread(u, found)
+    growth = _growth(window, mix, found)
+    spread = _spread(window.u, found)
     floor2 = FLOOR_PX**2 + (CUT_OFF * max(spread - 1.0, 0.0)) ** 2 * float(np.trace(shape_px2)) / 2
     to_px = root @ found.cov[:2, :2] @ root.T
     light = _inverse(found.form)
@@ -108,7 +111,7 @@ def fit_spot(image: Image, start_px: Array, shape_px2: Array, dark: Image | None
         q_px=start_px + root @ found.centre,
         cov_px2=growth * to_px + floor2 * np.eye(2),
         shape_px2=root @ light @ root.T,
-        height=_heights(window, found),
+        height=_heights(clear, found.terms[5:]),
         snr=found.height / (found.height_sigma * float(np.sqrt(growth))),
         size=float(np.sqrt(narrow * wide)),
         roundness=float(narrow / wide),
@@ -132,45 +135,89 @@ def _inverse(a: Array) -> Array:
 def _axes(a: Array) -> tuple[float, float]:
     """The eigenvalues of a symmetric (2, 2) matrix, the smaller one first."""
     (p, q), (_, s) = a.tolist()
-    apart = float(np.hypot((p - s) / 2, q))
+    apart = hypot((p - s) / 2, q)
     return (p + s) / 2 - apart, (p + s) / 2 + apart
 
 
-def _cut(image: Image, dark: Image | None, start_px: Array, root: Array, glare: float) -> _Window | None:
+def _solved(a: Array, b: Array) -> Array:
+    """The solution (n,) or (n, k) of a x = b; OpenCV's takes a third of NumPy's time for matrices this small."""
+    return np.asarray(cv2.solve(a, b.reshape(len(b), -1))[1], np.float64).reshape(b.shape)
+
+
+def _cut(
+    image: Image, dark: Image | None, start_px: Array, shape_px2: Array, root: Array, glare: float
+) -> _Window | None:
     """The window around a start, cut by the image's border; None where too little of it is left."""
-    sigma = np.sqrt(np.einsum("ij,ij->i", root, root))
-    block = max(1, int(float(np.sqrt(_axes(root @ root.T)[0])) / SAMPLES))
-    half = np.ceil((REACH + glare) * sigma / block).astype(int) + 2 // block
-    corner = np.round(start_px - (block - 1) / 2).astype(int)
-    size = np.array([image.shape[1], image.shape[0]])
-    low = np.maximum(-(3 * half + 1), -(corner // block))
-    high = np.minimum(3 * half + 2, (size - corner) // block)
-    half = np.minimum(half, np.minimum(-low, high - 1))  # even on both sides, or what is no Gaussian would pull
-    near_low, near_high = -half, half + 1
-    if (near_high - near_low < 5).any():
+    block = max(1, int(_axes(shape_px2)[0] ** 0.5 / SAMPLES))
+    (first, _), (low, second) = root.tolist()
+    reach = (REACH + glare) * first, (REACH + glare) * hypot(low, second)
+    x, y = (_Span.of(float(start_px[i]), reach[i], image.shape[1 - i], block) for i in (0, 1))
+    if min(x.half, y.half) < 2:
         return None
-    part = tuple(slice(int(c + block * a), int(c + block * b)) for c, a, b in zip(corner, low, high, strict=True))[::-1]
-    shape = tuple(int(n) for n in high - low)
+    part, near, full = (y.part, x.part), (y.near, x.near), (y.full, x.full)
+    shape = x.high - x.low, y.high - y.low
     light = image[part]
-    values = light if dark is None else light.astype(np.float32) - dark[part]
-    values = np.asarray(_averaged(values, block, shape), np.float64).reshape(shape[1], shape[0], -1)
+    values = _averaged(light if dark is None else light.astype(np.float32) - dark[part], block, shape)
+    values = values.reshape(shape[1], shape[0], -1)
     surface = values[..., values.shape[2] // 2]
     if dark is not None:
-        shown = dark[part] if dark.ndim == 2 else dark[part][..., 1]
-        surface = np.asarray(_averaged(shown, block, shape), np.float64)
-    near = tuple(slice(int(a - c), int(b - c)) for a, b, c in zip(near_low, near_high, low, strict=True))[::-1]
-    full = tuple(slice(s.start * block, s.stop * block) for s in near)
-    top = light[full] if light.ndim == 2 else light[full].max(axis=2)
-    clipped = _averaged((top >= SATURATED).astype(np.float32), block, tuple(int(n) for n in near_high - near_low))
-    clear = np.flatnonzero(clipped.ravel() <= 0)
+        surface = _averaged(dark[part] if dark.ndim == 2 else dark[part][..., 1], block, shape)
+    size = 2 * x.half + 1, 2 * y.half + 1
+    clear = np.arange(size[0] * size[1])
+    if light[full].max() >= SATURATED:
+        clipped = _averaged((_brightest(light[full]) >= SATURATED).astype(np.float32), block, size)
+        clear = np.flatnonzero(clipped.ravel() <= 0)
     if len(clear) < _MIN_PIXELS:
         return None
-    x, y = (
-        c + block * np.arange(a, b) + (block - 1) / 2 - s
-        for c, a, b, s in zip(corner, near_low, near_high, start_px, strict=True)
-    )
-    places = np.stack([np.broadcast_to(x, (len(y), len(x))).ravel(), np.repeat(y, len(x))])
-    return _Window(values, surface, RING + glare, (near[0], near[1]), clear, _inverse(root) @ places)
+    grid = np.empty((2, size[1], size[0]))
+    grid[0] = x.places / first
+    grid[1] = (y.places[:, None] - low * grid[0]) / second
+    u = grid.reshape(2, -1)
+    r2 = u[0] * u[0] + u[1] * u[1]
+    inner = values[near].reshape(-1, values.shape[2])
+    return _Window(values, surface, RING + glare, near, inner, r2, clear, u[:, clear])
+
+
+@dataclass(frozen=True, slots=True)
+class _Span:
+    """One axis of a window: in blocks from its start, the surroundings [low, high) and the fitted [-half, half]."""
+
+    start_px: float
+    corner: int
+    block: int
+    half: int
+    low: int
+    high: int
+
+    @classmethod
+    def of(cls, start_px: float, reach_px: float, size: int, block: int) -> _Span:
+        half = ceil(reach_px / block) + 2 // block
+        corner = round(start_px - (block - 1) / 2)
+        low = max(-(3 * half + 1), -(corner // block))
+        high = min(3 * half + 2, (size - corner) // block)
+        half = min(half, -low, high - 1)  # even on both sides, or what is no Gaussian would pull
+        return cls(start_px, corner, block, half, low, high)
+
+    @property
+    def part(self) -> slice:
+        """Of the image: the surroundings."""
+        return slice(self.corner + self.block * self.low, self.corner + self.block * self.high)
+
+    @property
+    def near(self) -> slice:
+        """Of the surroundings: the fitted window, in blocks."""
+        return slice(-self.half - self.low, self.half + 1 - self.low)
+
+    @property
+    def full(self) -> slice:
+        """The same in pixels."""
+        return slice(self.near.start * self.block, self.near.stop * self.block)
+
+    @property
+    def places(self) -> Array:
+        """Pixels from the start to the middles of the fitted window's blocks."""
+        middle = self.corner + (self.block - 1) / 2 - self.start_px
+        return np.arange(-self.half, self.half + 1, dtype=np.float64) * self.block + middle
 
 
 def _glare(image: Image, start_px: Array, sigma: Array) -> tuple[Array, float]:
@@ -181,15 +228,21 @@ def _glare(image: Image, start_px: Array, sigma: Array) -> tuple[Array, float]:
     reach = np.ceil(4 * sigma).astype(int)
     top, left = max(row - int(reach[1]), 0), max(column - int(reach[0]), 0)
     part = image[top : row + reach[1] + 1, left : column + reach[0] + 1]
-    rows, columns = np.nonzero((part if part.ndim == 2 else part.max(axis=2)) >= SATURATED)
+    rows, columns = np.nonzero(_brightest(part) >= SATURATED)
     middle = np.array([left + columns.mean(), top + rows.mean()])
     return middle, GLARE * min(float(np.sqrt(len(rows) / np.pi / (sigma[0] * sigma[1]))), 3.0)
 
 
-def _averaged(values: NDArray[np.uint8 | np.float32], block: int, size: tuple[int, ...]) -> NDArray[np.float32]:
+def _brightest(image: Image) -> Image:
+    """(H, W) the largest of a pixel's channels."""
+    return image if image.ndim == 2 else np.maximum(np.maximum(image[..., 0], image[..., 1]), image[..., 2])
+
+
+def _averaged(values: NDArray[np.uint8 | np.float32], block: int, size: tuple[int, int]) -> Array:
     if block == 1:
-        return np.asarray(values, np.float32)
-    return np.asarray(cv2.resize(np.asarray(values, np.float32), size, interpolation=cv2.INTER_AREA), np.float32)
+        return np.asarray(values, np.float64)
+    resized = cv2.resize(np.asarray(values, np.float32), size, interpolation=cv2.INTER_AREA)
+    return np.asarray(resized, np.float64)
 
 
 def _mix(window: _Window, variance_px2: float) -> Array:
@@ -197,15 +250,13 @@ def _mix(window: _Window, variance_px2: float) -> Array:
     channels = window.values.shape[2]
     if channels == 1:
         return np.ones(1)
-    values = window.values[window.near].reshape(-1, channels)
-    r2 = np.einsum("in,in->n", window.u, window.u)
-    ground = values[r2 > window.ring**2]
-    middle = ground.mean(axis=0)
+    ground = window.inner[window.r2 > window.ring**2]
+    middle = ground.sum(axis=0) / len(ground)
     off = ground - middle
-    weight = np.exp(-0.5 * r2[window.clear])
-    spot = weight @ (values[window.clear] - middle) / weight.sum()
+    weight = np.exp(-0.5 * window.r2[window.clear])
+    spot = weight @ window.inner[window.clear] / weight.sum() - middle
     grain = GRAIN * 2 / max(variance_px2**0.5, 2.0)
-    mix = np.linalg.solve(off.T @ off / len(off) + grain**2 * np.eye(channels), spot)
+    mix = _solved(off.T @ off / len(off) + grain**2 * np.eye(channels), spot)
     if mix[1] <= 0:
         return np.array([0.0, 1.0, 0.0])
     mix /= mix[1]
@@ -213,110 +264,134 @@ def _mix(window: _Window, variance_px2: float) -> Array:
     return np.asarray(mix)
 
 
-def _solve(u: Array, values: Array, ring: float) -> _Solution | None:
+def _solve(window: _Window, values: Array) -> _Solution | None:
     """Least squares by Gauss-Newton: the centre with the expected form, then the form that the light really has.
 
     A form that is held costs the centre nothing, and a top that is cut off cannot bend it.
     """
+    u, r2 = window.u, window.r2[window.clear]
     terms = np.empty((9, len(values)))
-    terms[6:] = 1.0
-    terms[7:] = u
+    terms[5], terms[6], terms[7:] = np.exp(-0.5 * r2), 1.0, u
     theta = np.zeros(9)
-    _evaluate(theta, u, terms)
-    theta[5:] = np.linalg.solve(terms[5:] @ terms[5:].T, terms[5:] @ values)
+    theta[5:] = _heights(values, terms[5:])
     for _ in range(MAX_STEPS):
-        step, normal, residual, variance = _step(theta, u, values, terms, HELD)
-        theta += step
+        here = _Normal.at(theta, u, values, terms)
+        step, normal = here.step(HELD)
+        theta = theta + step
         if max(abs(theta[:2])) > 3:
             return None
         if max(abs(step[:2])) < SETTLED:
             break
     else:
         return None
-    bare = residual[np.einsum("in,in->n", u, u) > ring**2]  # a top that is no Gaussian is not noise
-    noise2 = float(bare @ bare) / len(bare) + 1e-3 if len(bare) >= _MIN_PIXELS else variance
-    form, left = _form(theta, u, values, terms.copy())
+    bare = here.residual[r2 > window.ring**2]  # a top that is no Gaussian is not noise
+    noise2 = float(bare @ bare) / len(bare) + 1e-3 if len(bare) >= _MIN_PIXELS else here.variance
+    form, left = _form(here, u, values, terms.copy())
     return _Solution(
         centre=theta[:2],
         form=form,
         height=float(theta[5]),
         terms=terms,
-        cov=np.asarray(noise2 * np.linalg.inv(normal)),
+        cov=np.asarray(noise2 * cv2.invert(normal)[1]),
         noise2=noise2,
         height_sigma=float(np.sqrt(noise2 / normal[5, 5])),
         residual=left,
     )
 
 
-def _form(theta: Array, u: Array, values: Array, terms: Array) -> tuple[Array, float]:
-    """Inverse covariance (2, 2) of the light, and what it leaves unexplained (RMS); a sliver where it is no spot."""
-    free, variance = theta.copy(), np.inf
-    for _ in range(FREE_STEPS):
-        step, _, _, variance = _step(free, u, values, terms, SHAPE_SIGMA)
-        free += step
-        if not np.hypot(free[3], free[4]) < 0.95 * (1 + free[2]):
-            return np.diag([1.0, 1e4]), float(np.sqrt(variance))
+def _form(here: _Normal, u: Array, values: Array, terms: Array) -> tuple[Array, float]:
+    """Inverse covariance (2, 2) of the light, and what it leaves unexplained (RMS); a sliver where it is no spot.
+
+    Two steps, the first from where the last held one started, which was as good as settled.
+    """
+    for again in (True, False):
+        free = here.theta + here.step(SHAPE_SIGMA)[0]
+        if not hypot(free[3], free[4]) < 0.95 * (1 + free[2]):
+            return np.diag([1.0, 1e4]), here.variance**0.5
+        if again:
+            here = _Normal.at(free, u, values, terms)
     form = np.array([[1 + free[2] + free[3], free[4]], [free[4], 1 + free[2] - free[3]]])
-    return form, float(np.sqrt(variance))
+    return form, here.variance**0.5
 
 
-def _step(theta: Array, u: Array, values: Array, terms: Array, form_sigma: float) -> tuple[Array, Array, Array, float]:
-    """One step of centre (2), form (3), height and ground (3), with the normal matrix, the residual, its variance."""
-    _evaluate(theta, u, terms)
-    residual = values - theta[5:] @ terms[5:]
-    variance = float(residual @ residual) / max(len(values) - 9, 5) + 1e-3
-    normal = terms @ terms.T
-    normal.ravel()[::10] += 1e-9
-    hold = variance / form_sigma**2
-    normal[[2, 3, 4], [2, 3, 4]] += hold
-    pull = terms @ residual
-    pull[2:5] -= hold * theta[2:5]
-    step = np.linalg.solve(normal, pull)
-    return np.clip(step, -LONGEST, LONGEST), normal, residual, variance
+@dataclass(frozen=True, slots=True)
+class _Normal:
+    """The normal equations at theta: centre (2), form (3), height and ground (3)."""
+
+    theta: Array  # (9,)
+    matrix: Array  # (9, 9)
+    pull: Array  # (9,)
+    residual: Array  # (n,)
+    variance: float
+
+    @classmethod
+    def at(cls, theta: Array, u: Array, values: Array, terms: Array) -> _Normal:
+        """The first six rows of ``terms`` are overwritten."""
+        _evaluate(theta, u, terms)
+        residual = values - theta[5:] @ terms[5:]
+        variance = float(residual @ residual) / max(len(values) - 9, 5) + 1e-3
+        matrix = terms @ terms.T
+        matrix.ravel()[::10] += 1e-9
+        return cls(theta, matrix, terms @ residual, residual, variance)
+
+    def step(self, form_sigma: float) -> tuple[Array, Array]:
+        """With the form held to what is expected by so much; and the matrix that holds it."""
+        hold = self.variance / form_sigma**2
+        matrix, pull = self.matrix.copy(), self.pull.copy()
+        matrix.ravel()[20:41:10] += hold
+        pull[2:5] -= hold * self.theta[2:5]
+        return np.minimum(np.maximum(_solved(matrix, pull), -LONGEST), LONGEST), matrix
 
 
 def _evaluate(theta: Array, u: Array, terms: Array) -> None:
     """The model's derivatives by its first six parameters, in place; terms[5] is the Gaussian itself."""
-    x, y = u[0] - theta[0], u[1] - theta[1]
-    by_x, by_y = (1 + theta[2] + theta[3]) * x + theta[4] * y, theta[4] * x + (1 + theta[2] - theta[3]) * y
-    light = np.exp(-0.5 * (x * by_x + y * by_y))
-    lit = theta[5] * light
-    x2, y2 = x * x, y * y
-    terms[0], terms[1] = lit * by_x, lit * by_y
-    terms[2], terms[3], terms[4] = -0.5 * lit * (x2 + y2), -0.5 * lit * (x2 - y2), -lit * x * y
+    cx, cy, size, stretch, skew, height = theta[:6].tolist()
+    off = u - np.array([[cx], [cy]])
+    by = np.array([[1 + size + stretch, skew], [skew, 1 + size - stretch]]) @ off
+    both = off * by
+    light = np.exp(-0.5 * (both[0] + both[1]))
+    np.multiply(by, height * light, out=terms[:2])
+    half = (-0.5 * height * light) * off
+    x2, y2 = half * off
+    np.add(x2, y2, out=terms[2])
+    np.subtract(x2, y2, out=terms[3])
+    np.multiply(half[0], 2 * off[1], out=terms[4])
     terms[5] = light
 
 
-def _heights(window: _Window, found: _Solution) -> Array:
-    values = window.values[window.near].reshape(-1, window.values.shape[2])[window.clear]
-    linear = found.terms[5:]
-    return np.asarray(np.linalg.solve(linear @ linear.T, linear @ values)[0])
+def _heights(values: Array, linear: Array) -> Array:
+    """Height and ground (4,) of values (n,), or the heights (C,) of (n, C), for a known place and form."""
+    fitted = _solved(linear @ linear.T, linear @ values)
+    return fitted if values.ndim == 1 else np.asarray(fitted[0])
 
 
 def _spread(u: Array, found: _Solution) -> float:
     pull = found.terms[0] ** 2 + found.terms[1] ** 2
     off = u - found.centre[:, None]
-    return float(pull @ np.einsum("in,in->n", off, off) / pull.sum()) / 2
+    off *= off
+    return float(pull @ off[0] + pull @ off[1]) / float(pull.sum()) / 2
 
 
-def _growth(mixed: Array, window: _Window, found: _Solution) -> float:
+def _growth(window: _Window, mix: Array, found: _Solution) -> float:
     """How much larger than white noise would make it the centre's variance is, by the bare surface around the spot."""
     influence = (found.cov @ found.terms)[:2] / found.noise2
     rows, columns = window.near
     height, width = rows.stop - rows.start, columns.stop - columns.start
-    i = np.arange(rows.start % (height // 2), mixed.shape[0] - height + 1, height // 2)
-    j = np.arange(columns.start % (width // 2), mixed.shape[1] - width + 1, width // 2)
+    around = window.surface.shape
+    i = np.arange(rows.start % (height // 2), around[0] - height + 1, height // 2)
+    j = np.arange(columns.start % (width // 2), around[1] - width + 1, width // 2)
     apart = (abs(i - rows.start)[:, None] >= height - 1) | (abs(j - columns.start) >= width - 1)  # not the spot itself
-    place = (i[:, None] * mixed.shape[1] + j)[apart]
-    within = window.clear // width * mixed.shape[1] + window.clear % width
-    at = place[:, None] + within
-    moved = mixed.ravel()[at] @ influence.T
+    place = (i[:, None] * around[1] + j)[apart]
+    if len(place) == 0:
+        return CRAMPED
+    at = place[:, None] + (window.clear // width * around[1] + window.clear % width)
+    moved = (window.values.reshape(-1, len(mix)) @ mix)[at] @ influence.T
     # Texture, less noise: it shades the spot's own light too.
     paint = np.asarray(cv2.GaussianBlur(window.surface, (7, 7), 1.5), np.float64)
-    paint = paint / max(float(paint.mean()), 1.0) - 1
+    paint = paint / max(cv2.mean(paint)[0], 1.0) - 1
     moved += paint.ravel()[at] @ (found.height * influence * found.terms[5]).T
-    ratios = np.einsum("ni,ij,nj->n", moved, _inverse(found.cov[:2, :2]), moved)
-    if len(ratios) == 0:
-        return CRAMPED
-    limit = 6 * float(np.median(ratios)) + 1e-9  # an edge somewhere around is not under the spot
-    return max(1.0, float(np.mean(np.minimum(ratios, limit))) / 2)
+    ratios = ((moved @ _inverse(found.cov[:2, :2])) * moved).sum(axis=1)
+    ratios.sort()
+    median = float(ratios[(len(ratios) - 1) // 2] + ratios[len(ratios) // 2]) / 2
+    limit = 6 * median + 1e-9  # an edge somewhere around is not under the spot
+    return max(1.0, float(np.minimum(ratios, limit).sum()) / len(ratios) / 2)
