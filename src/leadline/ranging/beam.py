@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import hypot, isfinite
 
+import cv2
 import numpy as np
 
 from leadline.config import BeamConfig
@@ -59,6 +61,11 @@ class BeamRanger:
         span = self._config.nearest_m, 1.5 * self._config.farthest_m
         self._images = {side: BeamImage(rig, side, *span) for side in SIDES}
         self._calibration = CalibrationPixels(rig, *span)
+        offsets = self._config.spot_radius_m * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1], [1, 1]])
+        self._parallel = (
+            rig.laser.origin_m + offsets @ self._images["left"].across,
+            np.tile(rig.laser.direction, (6, 1)),
+        )
         reading = rig.laser.raw_m(TYPICAL_M)
         self.calibration_variance_m2 = float(rig.laser.direction @ beam_cov(rig, reading) @ rig.laser.direction)
 
@@ -92,20 +99,16 @@ class BeamRanger:
     def _seek(self, side: Side, footprint: _Footprint, nearest_m: float, farthest_m: float) -> Sought:
         image = self._images[side]
         shape_px2, facing_px, bend_px = footprint.in_image(image)
-        ends = image.at(np.array([nearest_m, farthest_m]))
-        step_px = max(0.7, 0.5 * float(np.sqrt(shape_px2.diagonal().min())))
-        travel_px = float(np.hypot(*(ends[1] - ends[0])))
-        travel_px = travel_px if np.isfinite(travel_px) else 3000.0  # an end that is unseen
+        step_px = max(0.7, 0.5 * float(shape_px2.diagonal().min()) ** 0.5)
+        travel_px = hypot(*(image.near(farthest_m)[0] - image.near(nearest_m)[0]).tolist())
+        travel_px = travel_px if isfinite(travel_px) else 3000.0  # an end that is unseen
         inverse = np.linspace(1 / nearest_m, 1 / farthest_m, min(int(travel_px / step_px), 3000) + 4)
         return Sought(image.at(1 / inverse), shape_px2, facing_px, bend_px)
 
     def _footprint(self, x: Array) -> _Footprint | None:
         """Lengths of six parallel rays through the spot: its slant and curvature."""
         radius = self._config.spot_radius_m
-        across = self._images["left"].across
-        offsets = radius * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1], [1, 1]])
-        origins = self._laser.origin_m + offsets @ across
-        lengths, _ = self._target.beam_length(x, origins, np.repeat(self._laser.direction[None], 6, axis=0))
+        lengths, _ = self._target.beam_length(x, *self._parallel)
         if not np.isfinite(lengths[0]):
             return None
         if not np.isfinite(lengths).all():  # at the limb
@@ -134,19 +137,20 @@ class BeamRanger:
         """Length (m), its variance, chi-square of the misfit and its degrees of freedom; None where nothing is seen."""
         sides = [side for side in SIDES if side in seen]
         length = self._images[sides[0]].closest(seen[sides[0]][0])
-        if not np.isfinite(length):
+        if not isfinite(length):
             return None
-        weight = np.linalg.inv(self._pixel_cov(sides, seen, length))
+        weight = np.asarray(cv2.invert(self._pixel_cov(sides, seen, length))[1], np.float64)
         q_px = np.concatenate([seen[side][0] for side in sides])
         information, chi2 = 0.0, 0.0
         for _ in range(4):
             at = [self._images[side].near(length) for side in sides]
             slope = np.concatenate([a[1] for a in at])
             off = q_px - np.concatenate([a[0] for a in at])
-            information, chi2 = float(slope @ weight @ slope), float(off @ weight @ off)
+            weighted = weight @ slope
+            information, chi2 = float(slope @ weighted), float(off @ weight @ off)
             if not information > 0:
                 return None
-            step = float(np.clip(slope @ weight @ off / information, -0.3 * length, 0.3 * length))
+            step = min(max(float(off @ weighted) / information, -0.3 * length), 0.3 * length)
             length += step
             if abs(step) < 1e-7:
                 break
@@ -160,8 +164,8 @@ class BeamRanger:
                 cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = seen[side][1]
         if not self._calibration.exact:
             cov += self._calibration.at(length_m)
-        rows = np.concatenate([[2 * SIDES.index(side), 2 * SIDES.index(side) + 1] for side in sides])
-        return np.asarray(cov[np.ix_(rows, rows)])
+        first, last = 2 * SIDES.index(sides[0]), 2 * SIDES.index(sides[-1]) + 2
+        return cov[first:last, first:last]
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,14 +180,14 @@ class _Footprint:
     def in_image(self, image: BeamImage) -> tuple[Array, Array, Array]:
         """Of an image: shape (2, 2) px^2 of the light, and the two parts of its lean (2,) px: docs/recognition.md."""
         _, along, sideways = image.near(self.length_m)
-        first = sideways + np.outer(along, self.slope)
+        first = sideways + along[:, None] * self.slope
         shape = self.sigma_m**2 * first @ first.T + BLUR_PX**2 * np.eye(2)
         # Second order, q(a) = q0 + first a + half(a, a) / 2: the surface's bend; perspective, where depth shrinks.
         deeper = (image.deeper[:2] + image.deeper[2] * self.slope) / image.depth_m(self.length_m)
         half = along[:, None, None] * self.bend
         half -= first[:, :, None] * deeper + first[:, None, :] * deeper[:, None]
-        back = np.linalg.solve(first, half.reshape(2, 4)).reshape(2, 2, 2)
+        back = np.asarray(cv2.solve(first, half.reshape(2, 4))[1], np.float64).reshape(2, 2, 2)
         facing = -self.bend @ self.slope / (1 + self.slope @ self.slope)
-        turn, swell = np.einsum("llj->j", back), np.einsum("ijj->i", back)
+        turn, swell = back[0, 0] + back[1, 1], back[:, 0, 0] + back[:, 1, 1]
         to_px = self.sigma_m**2 * first
         return shape, to_px @ facing, to_px @ (turn / 2 + swell / 4)

@@ -30,19 +30,22 @@ class BeamImage:
         axis = np.array([0.0, 0.0, 1.0]) if side == "left" else rig.T_right_left.R[2]
         self.deeper = np.concatenate([axis @ self.across.T, [axis @ self.direction]])  # per metre across (2) and along
         self._start_m = float(axis @ (rig.laser.origin_m - (0 if side == "left" else rig.T_left_right.t_m)))
-        self._q_px, jacobian = rig.project_with_jacobian(points, camera=side)
-        self._slope_px = -(jacobian @ self.direction) * (lengths**2 * self._step)[:, None]  # per node
+        q_px, jacobian = rig.project_with_jacobian(points, camera=side)
+        slope_px = -(jacobian @ self.direction) * (lengths**2 * self._step)[:, None]  # per node
+        rise, bend = np.diff(q_px, axis=0), slope_px[:-1] + slope_px[1:]
+        parts = q_px[:-1], slope_px[:-1], 3 * rise - slope_px[:-1] - bend, bend - 2 * rise
+        self._cubic = np.stack(parts, axis=1)  # (NODES - 1, 4, 2) px: Hermite's, of the part of a node
+        self._plain = self._cubic.tolist()  # for one place at a time, which is most of the time
+        self._u_px, self._v_px = q_px.T.copy()
         self._sideways = (jacobian @ self.across.T) * lengths[:, None, None]  # px m/m: almost constant
-        self._plain = self._q_px.tolist(), self._slope_px.tolist()  # for one place at a time, which is most of the time
 
     def at(self, lengths_m: Array) -> Array:
         """Pixels (K, 2) of lengths (K,) within the table, by Hermite's cubic; NaN where unseen."""
-        place = np.clip((1 / np.asarray(lengths_m) - self._first) / self._step, 0, NODES - 1 - 1e-9)
+        place = np.minimum(np.maximum((1 / lengths_m - self._first) / self._step, 0), NODES - 1 - 1e-9)
         node = place.astype(np.intp)
         t = (place - node)[:, None]
-        p0, p1, m0, m1 = self._q_px[node], self._q_px[node + 1], self._slope_px[node], self._slope_px[node + 1]
-        rise = p1 - p0
-        return np.asarray(p0 + t * (m0 + t * (3 * rise - 2 * m0 - m1 + t * (m0 + m1 - 2 * rise))))
+        cubic = self._cubic[node]
+        return np.asarray(cubic[:, 0] + t * (cubic[:, 1] + t * (cubic[:, 2] + t * cubic[:, 3])))
 
     def depth_m(self, length_m: float) -> float:
         """Along the camera's axis."""
@@ -50,23 +53,21 @@ class BeamImage:
 
     def closest(self, q_px: Array) -> float:
         """The length (m) whose pixel is nearest to q (2,), to about a node; NaN where the beam is nowhere seen."""
-        off = np.sum((self._q_px - q_px) ** 2, axis=1)
-        if np.isnan(off).all():
-            return float("nan")
-        return float(1 / (self._first + self._step * np.nanargmin(off)))
+        u, v = q_px.tolist()
+        off = (self._u_px - u) ** 2 + (self._v_px - v) ** 2
+        off[np.isnan(off)] = np.inf
+        nearest = int(off.argmin())
+        return 1 / (self._first + self._step * nearest) if off[nearest] < np.inf else float("nan")
 
     def near(self, length_m: float) -> tuple[Array, Array, Array]:
         """Pixel (2,), d(pixel)/d(length) (2,) px/m and d(pixel)/d(offset across the beam) (2, 2) px/m at one length."""
         place = min(max((1 / length_m - self._first) / self._step, 0.0), NODES - 1 - 1e-9)
         node = int(place)
         t = place - node
-        (q0, q1), (s0, s1) = (table[node : node + 2] for table in self._plain)
-        q_px, slope_px = np.empty(2), np.empty(2)
-        for i in range(2):
-            rise = q1[i] - q0[i]
-            c2, c3 = 3 * rise - 2 * s0[i] - s1[i], s0[i] + s1[i] - 2 * rise
-            q_px[i] = q0[i] + t * (s0[i] + t * (c2 + t * c3))
-            slope_px[i] = -(s0[i] + t * (2 * c2 + 3 * t * c3)) / (self._step * length_m**2)
+        (u0, v0), (u1, v1), (u2, v2), (u3, v3) = self._plain[node]
+        q_px = np.array([u0 + t * (u1 + t * (u2 + t * u3)), v0 + t * (v1 + t * (v2 + t * v3))])
+        per_m = -1 / (self._step * length_m**2)
+        slope_px = np.array([per_m * (u1 + t * (2 * u2 + 3 * t * u3)), per_m * (v1 + t * (2 * v2 + 3 * t * v3))])
         return q_px, slope_px, self._sideways[round(place)] / length_m
 
 

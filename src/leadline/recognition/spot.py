@@ -8,6 +8,7 @@ as the slanted surface makes it, on the line, and alone. What is turned away say
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil, floor, hypot, sqrt
 
 import cv2
 import numpy as np
@@ -27,6 +28,7 @@ RIVAL = 0.6  # of the best one's height: then neither is trusted
 CANDIDATES = 3
 CENTRE_ITERATIONS = 12
 _SEARCH_SIGMA = 1.2  # samples in a sigma while searching
+_GREENNESS = np.array([[-0.25, 1.0, -0.25]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +55,10 @@ def find_spot(image: Image, curve_px: Array, shape_px2: Array, dark: Image | Non
     skipped. dark: the same view without the laser (a pulsed laser's other frame), aligned to the image: then only what
     the laser added counts.
     """
-    sigma_px = float(np.sqrt(np.trace(shape_px2) / 2))
-    with np.errstate(invalid="ignore"):
-        inside = (
-            (curve_px > sigma_px) & (curve_px < [image.shape[1] - 1 - sigma_px, image.shape[0] - 1 - sigma_px])
-        ).all(1)
-    curve = curve_px[inside]
+    sigma_px = sqrt(float(shape_px2[0, 0] + shape_px2[1, 1]) / 2)
+    x, y = curve_px[:, 0], curve_px[:, 1]
+    right, bottom = image.shape[1] - 1 - sigma_px, image.shape[0] - 1 - sigma_px
+    curve = curve_px[(x > sigma_px) & (x < right) & (y > sigma_px) & (y < bottom)]
     if len(curve) < 3:
         return NoSpot("the beam's end is out of the picture")
     places = _candidates(image, dark, curve, sigma_px)
@@ -94,7 +94,7 @@ def greenness(image: Image) -> Array:
 
 def _refused(fit: SpotFit, curve: Array) -> str:
     """The gate that a fitted candidate fails, in plain words; '' where it passes all."""
-    beside = BAND_PX + 3 * float(np.sqrt(np.trace(fit.cov_px2)))
+    beside = BAND_PX + 3 * sqrt(float(fit.cov_px2[0, 0] + fit.cov_px2[1, 1]))
     others = fit.height[[0, 2]].max() if len(fit.height) == 3 else 0.0
     gates = {
         "what stands out is too faint": fit.snr > MIN_SNR and fit.height.max() > MIN_RISE,
@@ -112,31 +112,34 @@ def _refused(fit: SpotFit, curve: Array) -> str:
 def _aside(q_px: Array, curve: Array) -> float:
     """How far a pixel (2,) lies beside a curve."""
     off = q_px - curve
-    nearest = int(np.argmin(np.einsum("ki,ki->k", off, off)))
-    low = min(max(nearest - 1, 0), len(curve) - 3)
-    return abs(float(off[nearest] @ _normals(curve[low : low + 3])[1]))
+    nearest = int(np.argmin(off[:, 0] ** 2 + off[:, 1] ** 2))
+    middle = min(max(nearest, 1), len(curve) - 2)
+    (x, y), (along_x, along_y) = off[nearest].tolist(), (curve[middle + 1] - curve[middle - 1]).tolist()
+    return float(abs(along_x * y - along_y * x) / (hypot(along_x, along_y) + 1e-12))
 
 
 def _candidates(image: Image, dark: Image | None, curve: Array, sigma_px: float) -> list[tuple[float, Array]]:
     """(rise, pixel (2,)) of what stands out along the curve, the highest first."""
     block = max(1, int(sigma_px / _SEARCH_SIGMA))
     margin = 4 * sigma_px + BAND_PX + 2
-    limit = [image.shape[1], image.shape[0]]
-    low = np.maximum(np.floor(curve.min(axis=0) - margin), 0).astype(int)
-    high = np.minimum(np.ceil(curve.max(axis=0) + margin).astype(int) + 1, limit)
-    size = (high - low) // block
-    part = np.s_[low[1] : low[1] + size[1] * block, low[0] : low[0] + size[0] * block]
+    (left, top), (right, bottom) = curve.min(axis=0).tolist(), curve.max(axis=0).tolist()
+    x0, y0 = max(floor(left - margin), 0), max(floor(top - margin), 0)
+    width = (min(ceil(right + margin) + 1, image.shape[1]) - x0) // block
+    height = (min(ceil(bottom + margin) + 1, image.shape[0]) - y0) // block
+    size = width, height
+    part = np.s_[y0 : y0 + height * block, x0 : x0 + width * block]
     green = _small(image[part], size, block)
     if dark is not None:
         green = green - _small(dark[part], size, block)
     sigma = max(sigma_px / block, 0.7)
     side = 2 * round(3 * sigma) + 1
     rise = cv2.GaussianBlur(green, (0, 0), 0.8 * sigma) - cv2.blur(green, (side, side))
-    step = max(1, round(0.5 * sigma_px / max(float(np.linalg.norm(curve[1] - curve[0])), 0.1)))
+    step = max(1, round(0.5 * sigma_px / max(hypot(*(curve[1] - curve[0]).tolist()), 0.1)))
     line = curve[::step]
-    across = np.arange(-np.ceil(BAND_PX / block), np.ceil(BAND_PX / block) + 1) * block
+    beside = ceil(BAND_PX / block)
+    across = np.arange(-beside, beside + 1, dtype=np.float64) * block
     at = line[:, None] + across[None, :, None] * _normals(line)[:, None]
-    place = np.asarray((at - low - (block - 1) / 2) / block, np.float32)
+    place = np.asarray((at - (np.array([x0, y0]) + (block - 1) / 2)) / block, np.float32)
     strip = cv2.remap(rise, place[..., 0], place[..., 1], cv2.INTER_LINEAR)
     return _peaks(np.asarray(strip, np.float64), at, sigma_px)
 
@@ -159,22 +162,24 @@ def _peaks(strip: Array, at: Array, sigma_px: float) -> list[tuple[float, Array]
     return found
 
 
-def _small(part: Image, size: Array, block: int) -> Array:
+def _small(part: Image, size: tuple[int, int], block: int) -> Array:
     """Greenness, float32, averaged over blocks."""
     if block > 1:
-        part = np.asarray(cv2.resize(part, (int(size[0]), int(size[1])), interpolation=cv2.INTER_AREA), np.uint8)
+        part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), np.uint8)
     if part.ndim == 2:
         return np.asarray(part, np.float32)
-    return np.asarray(cv2.transform(part.astype(np.float32), np.array([[-0.25, 1.0, -0.25]])), np.float32)
+    return np.asarray(cv2.transform(part.astype(np.float32), _GREENNESS), np.float32)
 
 
 def _normals(curve: Array) -> Array:
     """Unit normals (K, 2) of a curve."""
-    tangent = np.empty_like(curve)
-    tangent[1:-1] = curve[2:] - curve[:-2]
-    tangent[0], tangent[-1] = curve[1] - curve[0], curve[-1] - curve[-2]
-    length = np.sqrt(np.einsum("ki,ki->k", tangent, tangent)) + 1e-12
-    return np.stack([-tangent[:, 1] / length, tangent[:, 0] / length], axis=1)
+    normal = np.empty_like(curve)
+    normal[1:-1] = curve[2:] - curve[:-2]
+    normal[0], normal[-1] = curve[1] - curve[0], curve[-1] - curve[-2]
+    normal /= np.hypot(normal[:, :1], normal[:, 1:]) + 1e-12
+    normal = normal[:, ::-1]
+    normal[:, 0] *= -1
+    return normal
 
 
 def centre_spot(region: Array, start: Array, radius_px: float) -> tuple[Array, Array] | None:
