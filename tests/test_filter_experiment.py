@@ -10,8 +10,11 @@ from functools import cache
 
 import numpy as np
 import pytest
-from benchmarks.filter_dives import Plan, draw
+from benchmarks.filter_dives import BEAM, LASER_SIGMA_M, Plan, draw, see_position, see_range
 from benchmarks.filter_runs import SETTLED_S, Outcome, experiment
+
+from leadline.estimation import Filter
+from leadline.samples import NS_PER_S, Kind, Measurement
 
 STANDARD = Plan("standard")
 MOST_RATIO, MOST_TAIL = 1.1, 1.3
@@ -60,6 +63,25 @@ def test_keeps_its_lock_where_it_is_harder(name: str, runs: int) -> None:
     outcome = experiment(plan, runs)
     assert outcome.lost == 0
     assert outcome.ratio <= most
+
+
+@pytest.mark.parametrize("good", [1, 2])
+def test_two_readings_that_contradict_wrong_ones_take_them_back(good: int) -> None:
+    """While only the laser measures, three wrong ones in a row look like a target that moves: dive 98 of 300."""
+    filt = Filter()
+    for k in range(60):
+        place = np.array([0.0, 0.0, 2.1 - 0.01 * k])
+        if k == 0:
+            filt.start(-1, place, 0.01 * np.eye(3))
+        t_ns = k * NS_PER_S // 20
+        filt.add(t_ns, [Measurement(Kind.STEREO, t_ns, place, 1e-5 * np.eye(3), see_position)])
+    for k, wrong_m in enumerate([0.0, 0.0, 0.05, 0.13, 0.21] + good * [0.0], 1):
+        t_ns = 3 * NS_PER_S + k * NS_PER_S // 3
+        place = np.array([0.0, 0.0, 2.1 - 0.2 * t_ns / NS_PER_S])
+        reading = BEAM @ place + wrong_m
+        filt.add(t_ns, [Measurement(Kind.LASER, t_ns, reading, LASER_SIGMA_M**2 * np.eye(1), see_range)])
+    off_m = float(np.linalg.norm(filt.at(t_ns).x - place))
+    assert off_m < 0.02 if good == 2 else off_m > 0.2  # one alone may be wrong itself
 
 
 def test_violent_motion_costs_nothing_against_single_frames() -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from leadline.estimation.instant import take, take_motion
 from leadline.estimation.models import MotionModel
-from leadline.estimation.recovery import livelier, without_suspect
+from leadline.estimation.recovery import CONTRADICTED, livelier, without_readings, without_suspect
 from leadline.estimation.replay import Entry, History, Inputs
 from leadline.estimation.settings import FilterSettings
 from leadline.estimation.smoother import Smoothed, Track
@@ -68,6 +68,8 @@ class Filter:
         entry = self._history.insert(t_ns, tuple(measurements), self._apply)
         whole = [m for m in measurements if len(m.z) >= 3]  # those that fix the position by themselves
         recovered = bool(whole) and self._recover(entry, whole[0])
+        if entry is not None and not whole and entry.after.refused >= CONTRADICTED:
+            self._history.entries = without_readings(self._history, entry, self._apply) or self._history.entries
         if entry is None and not recovered:
             return [], [Rejected(m.kind, t_ns, "too late") for m in measurements]
         taken = self._history.last(t_ns).taken

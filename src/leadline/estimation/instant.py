@@ -29,8 +29,8 @@ def take(state: State, measurements: Sequence[Measurement], settings: FilterSett
             rejected.append(Rejected(m.kind, m.t_ns, result.reason, result.nis))
             continue
         used.append(m.kind)
-        if len(m.z) >= 3:
-            position, surprise = True, max(surprise, result / gate_threshold(len(m.z), settings.gate_sigmas))
+        position |= len(m.z) >= 3
+        surprise = max(surprise, result / gate_threshold(len(m.z), settings.gate_sigmas))
     if settings.adapt and position:
         moved = state.y[:3] - predicted.y[:3]
         noise = state.noise.after_correction(moved, predicted.P[:3, :3], state.P[:3, :3], settings.acceleration_psd)

@@ -1,8 +1,9 @@
-"""A position was turned away: was it wrong, or was the filter? What happened is tried again in another way.
+"""A measurement was turned away: was it wrong, or was the filter? What happened is tried again in another way.
 
-Two ways to be wrong are put right at once, and the entries of the history done again: a wrong position was taken
-shortly before (``without_suspect``), or the target moves more than it did (``livelier``). What neither explains is an
-outlier, until it goes on for so long that the filter starts again from there.
+Ways to be wrong that are put right at once, and the entries of the history done again: a wrong position was taken
+shortly before (``without_suspect``), the target moves more than it did (``livelier``), or wrong readings were taken
+while only the laser measured (``without_readings``). A position that none explains is an outlier, until it goes on for
+so long that the filter starts again from there.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ from dataclasses import replace
 
 from leadline.estimation.adapt import MOST
 from leadline.estimation.replay import Apply, Entry, History
-from leadline.samples import NS_PER_S, Measurement
+from leadline.samples import NS_PER_S, Kind, Measurement
 
 SUSPECT_FOR_S, UNSURPRISING = 0.3, 0.25  # a position may be taken back so much later, if the new one then fits well
+CONTRADICTED = 2  # so many readings turned away in a row speak against those before
 LIVELIER = (10.0, 100.0)  # power densities of acceleration to try, against the one before
 
 
@@ -33,6 +35,39 @@ def without_suspect(history: History, entry: Entry, apply: Apply) -> list[Entry]
         if taken.position and taken.surprise < UNSURPRISING:
             return changed
     return None
+
+
+def without_readings(history: History, entry: Entry, apply: Apply) -> list[Entry] | None:
+    """The entries without the readings from a surprising one on, where all turned away after them then fit well.
+
+    While only the laser measures, wrong readings that follow one another look like a target that moved; the next ones
+    tell. The fewest that will do are taken back; None where there are none.
+    """
+    at = history.place(entry.t_ns) - 1
+    entries = history.entries
+    away, taken = _readings(entries, at)
+    for suspect in taken:
+        if entries[suspect].taken.surprise < UNSURPRISING:
+            continue
+        later = [entries[i] for i in range(suspect, len(entries)) if i not in taken]
+        changed = again(entries[:suspect], later, apply)
+        if all(e.taken.used and e.taken.surprise < UNSURPRISING for e in changed if e.t_ns in away):
+            return changed
+    return None
+
+
+def _readings(entries: Sequence[Entry], last: int) -> tuple[set[int], list[int]]:
+    """Since the last position, newest first: stamps of the readings turned away at the end, places of those before."""
+    away: set[int] = set()
+    taken: list[int] = []
+    for i in range(last, 0, -1):
+        if entries[i].taken.position:
+            break
+        if entries[i].taken.used == (Kind.LASER,):
+            taken.append(i)
+        elif not taken and any(r.kind is Kind.LASER for r in entries[i].taken.rejected):
+            away.add(entries[i].t_ns)
+    return away, taken
 
 
 def livelier(history: History, agreed: Sequence[Measurement], apply: Apply, usual_psd: float) -> list[Entry] | None:

@@ -14,7 +14,7 @@ Inputs = tuple[Measurement, ...] | VehicleMotion
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """What became of an instant's measurements. surprise: of the positions taken, the largest share of the gate."""
+    """What became of an instant's measurements. surprise: of those taken, the largest share of the gate."""
 
     used: tuple[Kind, ...] = ()
     rejected: tuple[Rejected, ...] = ()
