@@ -190,11 +190,12 @@ def _ticks(values: Array) -> Array:
 def bars(values: Sequence[tuple[str, float, str]], width: float, unit: str, title: str) -> str:
     """Horizontal bars: (name, value, colour)."""
     longest = max((value for _, value, _ in values), default=0.0) or 1.0
+    left = max(230.0, 10 + 6.5 * max((len(name) for name, _, _ in values), default=0))
     parts = []
     for i, (name, value, colour) in enumerate(values):
         y = 20.0 * i
-        length = (width - 330) * max(value, 0.0) / longest
+        length = (width - left - 100) * max(value, 0.0) / longest
         parts.append(text(0, y + 14, name))
-        parts.append(f'<rect x="230" y="{y + 3:.0f}" width="{length:.1f}" height="13" fill="{colour}"/>')
-        parts.append(text(236 + length, y + 14, f"{value:.3g} {unit}"))
+        parts.append(f'<rect x="{left:.0f}" y="{y + 3:.0f}" width="{length:.1f}" height="13" fill="{colour}"/>')
+        parts.append(text(left + 6 + length, y + 14, f"{value:.3g} {unit}"))
     return frame(width, 20.0 * len(values) + 4, parts, title)
