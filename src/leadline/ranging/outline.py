@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from leadline.config import OutlineConfig
 from leadline.ranging.images import Float32
@@ -106,17 +107,18 @@ class OutlineRanger:
         contour, normal, m_per_px = self._contour(rig, ball, side)
         size_px = self._target.radius_m(ball) / _median(m_per_px)
         reach = max(reach_radii * size_px, LEAST_REACH_PX)
-        low, high = reach + 2, np.array([image.shape[1], image.shape[0]]) - reach - 3
-        inside = ((contour > low) & (contour < high)).all(axis=1)  # not so where NaN
-        if np.count_nonzero(inside) < LEAST_EDGES:
+        low, right, bottom = reach + 2, image.shape[1] - reach - 3, image.shape[0] - reach - 3
+        x, y = contour[:, 0], contour[:, 1]
+        inside = np.flatnonzero((x > low) & (x < right) & (y > low) & (y < bottom))  # not so where NaN
+        if len(inside) < LEAST_EDGES:
             return _Edges(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
-        lines = _beside(contour)[inside], normal[inside, None]
+        lines = _beside(contour)[inside], normal[inside]
         step = BLUR_PER_STEP * max(LEAST_BLUR_PX, BLUR_RADII * size_px)
-        t_px = step * np.arange(-np.ceil(reach / step), np.ceil(reach / step) + 1)
-        offset_px = _strongest(_profiles(image, *lines, t_px, size_px), t_px)
-        found = np.isfinite(offset_px)
-        at = contour[inside][found] + offset_px[found, None] * normal[inside][found]
-        return _Edges(*rig.rays(at, side), m_per_px[inside][found])
+        steps = math.ceil(float(reach) / step)
+        t_px = step * np.arange(-steps, steps + 1, dtype=np.float64)
+        found, offset_px = _strongest(_profiles(image, *lines, t_px, size_px), t_px)
+        kept = inside[found]
+        return _Edges(*rig.rays(contour[kept] + offset_px[:, None] * normal[kept], side), m_per_px[kept])
 
     def _contour(self, rig: Rig, ball: Array, side: Side) -> tuple[Array, Array, Array]:
         """Pixels (N, 2) of the ball's outline, outward normals (N, 2), and the metres (N,) that a pixel is worth."""
@@ -129,7 +131,7 @@ class OutlineRanger:
         right, down = np.array([z, 0.0, -x]) / flat, np.array([-x * y, flat**2, -y * z]) / flat
         outward = math.sqrt(1 - sine**2) * (TURN @ np.stack([right, down])) - sine / distance * to
         contour, jacobian = rig.project_with_jacobian(ball[:3] + radius * outward, side)
-        grown = (jacobian @ outward[:, :, None])[:, :, 0]
+        grown = np.einsum("nij,nj->ni", jacobian, outward)
         px_per_m = np.sqrt(np.einsum("ni,ni->n", grown, grown))
         return contour, grown / px_per_m[:, None], 1 / px_per_m
 
@@ -137,7 +139,7 @@ class OutlineRanger:
         """How far (N,) rays pass outside the ball's surface, and the gradient over the ball (N, 3 + k)."""
         to = ball[:3] - edges.origins_m
         aside = to - np.einsum("ni,ni->n", to, edges.directions)[:, None] * edges.directions
-        distance = np.linalg.norm(aside, axis=1)
+        distance = np.sqrt(np.einsum("ni,ni->n", aside, aside))
         gradient = -np.ones((len(distance), len(ball)))
         gradient[:, :3] = aside / distance[:, None]
         return distance - self._target.radius_m(ball), gradient
@@ -157,20 +159,20 @@ class OutlineRanger:
             weight = 1 / (sigma**2 * (1 + (u / (2 * scale)) ** 2))
             weighted = gradient.T * weight
             information = weighted @ gradient
-            try:
-                step = np.linalg.solve(information, weighted @ miss)
-            except np.linalg.LinAlgError:
+            solved, step = cv2.solve(information, (weighted @ miss)[:, None])  # NumPy's takes thrice as long
+            if not solved:
                 return "no round outline"
-            ball = ball - step
+            ball = ball - step[:, 0]
             before, scale = scale, max(1.0, 1.4826 * _median(np.abs(u)))
             if not np.isfinite(ball).all() or ball[2] <= 0 or self._target.radius_m(ball) <= 0.01:
                 return "no round outline"
             if abs(scale - before) < 0.01 * scale and np.abs(step).max() < SETTLED_M:
                 break
         agreed = np.count_nonzero(np.abs(u) < AGREED_SIGMAS)
-        if agreed < max(self._settings.min_edges, MIN_AGREED * len(u)) or np.linalg.cond(information) > MAX_CONDITION:
+        axes = cv2.eigen(information)[1].ravel()  # the largest first
+        if agreed < max(self._settings.min_edges, MIN_AGREED * len(u)) or not axes[0] < MAX_CONDITION * axes[-1]:
             return "no round outline"
-        inverse = np.linalg.inv(information)
+        inverse = np.asarray(cv2.invert(information)[1], np.float64)
         common = inverse @ (weighted @ edges.m_per_px) * self._settings.bias_sigma_px
         return ball, np.asarray(inverse * scale**2), common
 
@@ -192,40 +194,45 @@ def _beside(contour: Array) -> Array:
 def _profiles(image: Image, start: Array, normal: Array, t_px: Array, size_px: float) -> Float32:
     """Grey levels (N, T) along normals, in the mix of colours that tells the ball best from what is around it."""
     t = np.concatenate([t_px, size_px * RINGS]).astype(np.float32)
-    x, y = (start[..., i, None].astype(np.float32) + normal[..., i, None].astype(np.float32) * t for i in (0, 1))
-    x, y = x.reshape(-1, len(t)), y.reshape(-1, len(t))
+    start, normal = start.astype(np.float32), normal.astype(np.float32)
+    x, y = ((start[..., i, None] + normal[:, i, None, None] * t).reshape(-1, len(t)) for i in (0, 1))
     looked_up = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     seen: Float32 = looked_up.astype(np.float32)
     if image.ndim == 3:
-        seen = np.asarray(cv2.transform(seen, _contrast(seen[:, len(t_px) :])[None]), np.float32)
-    return np.asarray(seen[:, : len(t_px)].reshape(-1, LATERAL, len(t_px)).sum(axis=1))
+        seen = np.asarray(cv2.transform(seen, _contrast(seen[:, len(t_px) :])), np.float32)
+    first, *others = (seen[i::LATERAL, : len(t_px)] for i in range(LATERAL))
+    for other in others:
+        first = first + other
+    return first
 
 
-def _contrast(rings: Float32) -> Float32:
-    """(3,) mix of the colours by which the inner rings stand out best from the outer ones (Fisher's discriminant)."""
+def _contrast(rings: Float32) -> Array:
+    """(1, 3) mix of the colours by which the inner rings stand out best from the outer ones (Fisher's discriminant)."""
     half = len(RINGS) // 2
-    inner, outer = rings[:, :half].reshape(-1, 3), rings[:, half:].reshape(-1, 3)
-    means = [side.sum(axis=0) / len(side) for side in (inner, outer)]
-    within = 4.0 * np.eye(3, dtype=np.float32)  # 2 grey levels: no colour is free of noise
-    for side, mean in zip((inner, outer), means, strict=True):
-        within = within + (side - mean).T @ (side - mean) / np.float32(len(side))
-    mix = np.linalg.solve(within, means[0] - means[1])
-    length = float(np.sqrt(mix @ mix))
-    return np.full(3, 1 / 3, np.float32) if length == 0 else (mix / length).astype(np.float32)  # 0: a black picture
+    means: list[Array] = []
+    within = 4.0 * np.eye(3)  # 2 grey levels: no colour is free of noise
+    for side in (rings[:, :half].reshape(-1, 3), rings[:, half:].reshape(-1, 3)):
+        mean = np.ones(len(side), np.float32) @ side / len(side)
+        off = side - mean
+        within += off.T @ off / len(side)
+        means.append(mean)
+    mix = np.asarray(cv2.solve(within, (means[0] - means[1]).astype(np.float64)[:, None])[1], np.float64).T
+    length = math.hypot(*mix[0].tolist())
+    return np.full((1, 3), 1 / 3) if length == 0 else mix / length  # 0: a black picture
 
 
-def _strongest(profile: Float32, t_px: Array) -> Array:
-    """Offset (M,) of the strongest edge along each normal; NaN where none stands out."""
+def _strongest(profile: Float32, t_px: Array) -> tuple[NDArray[np.intp], Array]:
+    """Which normals (M,) have an edge that stands out, and the offset (M,) px of the strongest one along each."""
     slope = cv2.filter2D(profile, cv2.CV_32F, SLOPE, borderType=cv2.BORDER_REPLICATE)
-    sign = np.sign(slope[:, len(t_px) // 4 : -len(t_px) // 4].sum())
-    slope = slope * (sign or 1.0)
+    quarter = len(t_px) // 4
+    if slope[:, quarter:-quarter].sum() < 0:
+        slope = -slope
     best = slope[:, 1:-1].argmax(axis=1) + 1
     rows = np.arange(len(best))
     low, mid, high = slope[rows, best - 1], slope[rows, best], slope[rows, best + 1]
     curvature = low - 2 * mid + high
-    with np.errstate(invalid="ignore", divide="ignore"):
-        shift = np.where(curvature < 0, 0.5 * (low - high) / curvature, np.nan)
-    quarter = len(t_px) // 4  # the flattest quarter of a profile is noise, however wide its edge
+    # The flattest quarter of a profile is noise, however wide its edge.
     strong = mid > STRONG * np.partition(np.abs(slope), quarter, axis=1)[:, quarter]
-    at_end = (best < 3) | (best > len(t_px) - 4)
-    return np.asarray(np.where(strong & ~at_end, t_px[best] + shift * (t_px[1] - t_px[0]), np.nan))
+    found = np.flatnonzero(strong & (curvature < 0) & (best >= 3) & (best <= len(t_px) - 4))
+    shift = 0.5 * (low - high)[found] / curvature[found]
+    return found, t_px[best[found]] + shift * (t_px[1] - t_px[0])
