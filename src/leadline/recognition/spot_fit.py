@@ -96,8 +96,8 @@ def fit_spot(image: Image, start_px: Array, shape_px2: Array, dark: Image | None
     window = _cut(image, dark, start_px, shape_px2, root, glare)
     if window is None:
         return None
-    mix = _mix(window, float(root[0, 0] * root[1, 1]))
-    clear = window.inner[window.clear]
+    clear = window.inner.take(window.clear, axis=0)
+    mix = _mix(window, clear, float(root[0, 0] * root[1, 1]))
     found = _solve(window, clear @ mix)
     if found is None:
         return None
@@ -175,7 +175,7 @@ def _cut(
     u = grid.reshape(2, -1)
     r2 = u[0] * u[0] + u[1] * u[1]
     inner = values[near].reshape(-1, values.shape[2])
-    return _Window(values, surface, RING + glare, near, inner, r2, clear, u[:, clear])
+    return _Window(values, surface, RING + glare, near, inner, r2, clear, u.take(clear, axis=1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,16 +245,16 @@ def _averaged(values: NDArray[np.uint8 | np.float32], block: int, size: tuple[in
     return np.asarray(resized, np.float64)
 
 
-def _mix(window: _Window, variance_px2: float) -> Array:
+def _mix(window: _Window, clear: Array, variance_px2: float) -> Array:
     """Weights (C,) of the channels in which the spot stands out best from the ground around it; green's is 1."""
     channels = window.values.shape[2]
     if channels == 1:
         return np.ones(1)
-    ground = window.inner[window.r2 > window.ring**2]
-    middle = ground.sum(axis=0) / len(ground)
+    ground = window.inner.take(np.flatnonzero(window.r2 > window.ring**2), axis=0)
+    middle = np.ones(len(ground)) @ ground / len(ground)
     off = ground - middle
-    weight = np.exp(-0.5 * window.r2[window.clear])
-    spot = weight @ window.inner[window.clear] / weight.sum() - middle
+    weight = np.exp(-0.5 * window.r2.take(window.clear))
+    spot = weight @ clear / weight.sum() - middle
     grain = GRAIN * 2 / max(variance_px2**0.5, 2.0)
     mix = _solved(off.T @ off / len(off) + grain**2 * np.eye(channels), spot)
     if mix[1] <= 0:
@@ -269,7 +269,7 @@ def _solve(window: _Window, values: Array) -> _Solution | None:
 
     A form that is held costs the centre nothing, and a top that is cut off cannot bend it.
     """
-    u, r2 = window.u, window.r2[window.clear]
+    u, r2 = window.u, window.r2.take(window.clear)
     terms = np.empty((9, len(values)))
     terms[5], terms[6], terms[7:] = np.exp(-0.5 * r2), 1.0, u
     theta = np.zeros(9)
@@ -385,11 +385,11 @@ def _growth(window: _Window, mix: Array, found: _Solution) -> float:
     if len(place) == 0:
         return CRAMPED
     at = place[:, None] + (window.clear // width * around[1] + window.clear % width)
-    moved = (window.values.reshape(-1, len(mix)) @ mix)[at] @ influence.T
+    moved = (window.values.reshape(-1, len(mix)) @ mix).take(at) @ influence.T
     # Texture, less noise: it shades the spot's own light too.
     paint = np.asarray(cv2.GaussianBlur(window.surface, (7, 7), 1.5), np.float64)
     paint = paint / max(cv2.mean(paint)[0], 1.0) - 1
-    moved += paint.ravel()[at] @ (found.height * influence * found.terms[5]).T
+    moved += paint.take(at) @ (found.height * influence * found.terms[5]).T
     ratios = ((moved @ _inverse(found.cov[:2, :2])) * moved).sum(axis=1)
     ratios.sort()
     median = float(ratios[(len(ratios) - 1) // 2] + ratios[len(ratios) // 2]) / 2
