@@ -16,7 +16,18 @@ from benchmarks import silent as benchmark
 
 from leadline.localizer import Localizer
 from leadline.rig import Rig
-from leadline.samples import NS_PER_S, Array, Kind, LaserRange, Sample, Solution, Status, StereoFrame, VehicleMotion
+from leadline.samples import (
+    NS_PER_S,
+    Array,
+    Image,
+    Kind,
+    LaserRange,
+    Sample,
+    Solution,
+    Status,
+    StereoFrame,
+    VehicleMotion,
+)
 from leadline.simulation.dive import SimulatedDive
 from leadline.simulation.scenario import Scenario
 from leadline.target import Plane, Sphere, Target
@@ -192,13 +203,20 @@ def test_the_vehicles_motion_carries_over_darkness() -> None:
     assert np.trace(told.cov_m2) < 0.1 * np.trace(alone.cov_m2)
 
 
-def test_a_camera_that_gives_its_last_picture_again_does_not_hold_the_target() -> None:
-    """The wall comes nearer, the laser says so, the pictures do not: the track goes on, and owns the contradiction."""
-    dive = dive_of("hull")
-    whole = [s for s in samples(dive) if isinstance(s, StereoFrame)]
-    last = next(s for s in whole if s.t_s > 2.0)
+@pytest.mark.parametrize("noisy", [False, True])
+def test_pictures_that_stand_still_do_not_hold_the_target(noisy: bool) -> None:
+    """The wall comes nearer, the laser says so, the pictures do not. The very same ones are not looked at; with noise
+    of their own they are, and the track goes on and owns the contradiction."""
+    dive, rng = dive_of("hull"), np.random.default_rng(1)
+    last = next(s for s in samples(dive) if isinstance(s, StereoFrame) and s.t_s > 2.0)
+
+    def again(image: Image) -> Image:
+        return image + rng.integers(0, 2, image.shape, np.uint8) * (image < 255) if noisy else image
+
     stuck = [
-        dataclasses.replace(s, left=last.left, right=last.right) if isinstance(s, StereoFrame) and s.t_s > 2.0 else s
+        dataclasses.replace(s, left=again(last.left), right=again(last.right))
+        if isinstance(s, StereoFrame) and s.t_s > 2.0
+        else s
         for s in samples(dive)
         if s.t_s < 4.0
     ]
@@ -206,13 +224,16 @@ def test_a_camera_that_gives_its_last_picture_again_does_not_hold_the_target() -
     off, sigma = errors(solutions, dive)
     assert silent(off, sigma) == 0
     assert np.abs(off).max() < 0.05
-    assert "disagrees while the laser agrees" in {r.reason for s in solutions for r in s.rejected}
+    late = [s for s in solutions if s.t_s > last.t_s + 0.1]
+    if noisy:
+        assert "disagrees while the laser agrees" in {r.reason for s in late for r in s.rejected}
+    else:
+        assert {kind for s in late for kind in s.used} <= {Kind.LASER}
 
 
 @pytest.mark.long
 def test_silent_errors_are_rare_in_forty_dives_that_go_wrong() -> None:
-    """Forty of those of `benchmarks.silent`. The aim is none; measured are some 0.7 % of solutions, in a tenth of the
-    dives: what a fault does in the first second of it, before anything can contradict it."""
+    """Forty of `benchmarks.silent`. The aim is none, which is not reached: docs/measurements.md has the count."""
     results = [benchmark.solve(benchmark.case(number)) for number in range(40)]
     assert sum(len(result.silent_s) for result in results) < 0.015 * sum(len(result.error_m) for result in results)
     assert sum(bool(result.silent_s) for result in results) <= 6

@@ -116,15 +116,15 @@ class Localizer:
         return self._solution(frame.t_ns, used, rejected + turned_away)
 
     def _fresh(self, frame: StereoFrame) -> StereoFrame:
-        """The frame, without a camera that gives its last picture again while the other lives: pictures have noise."""
+        """The frame, black where a camera gives its last picture again: pictures have noise, a live one never does."""
         last, self._last_frame = self._last_frame, frame
         if last is None or not self._filtered:
             return frame
-        left, right = _same(frame.left, last.left), _same(frame.right, last.right)
-        if left == right:
-            return frame
-        black = np.zeros_like(frame.left)
-        return replace(frame, left=black) if left else replace(frame, right=black)
+        left, right = (
+            np.zeros_like(image) if _same(image, before) else image
+            for image, before in ((frame.left, last.left), (frame.right, last.right))
+        )
+        return frame if left is frame.left and right is frame.right else replace(frame, left=left, right=right)
 
     def _take_reading(self, sample: LaserRange) -> Solution | None:
         if self._laser is None:
