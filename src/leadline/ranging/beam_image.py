@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from leadline.rig import Rig, Side
-from leadline.rig_derivatives import SIDES, Medium, by_parameters, project
+from leadline.rig_derivatives import SIDES, by_parameters, medium_of, project
 from leadline.samples import Array
 
 NODES = 256
@@ -83,7 +83,7 @@ class CalibrationPixels:
         turns = np.eye(3) - np.outer(rig.laser.direction, rig.laser.direction)  # its length stays 1
         changed = np.zeros((_SPARSE, 4, len(names)))
         for i, side in enumerate(SIDES if names else ()):
-            medium = Medium.AIR if rig.port is None else Medium.WATER
+            medium = medium_of(rig)
             pixels, by_point = project(rig, side, medium, points)
             part = by_parameters(rig, side, medium, points, pixels, by_point, names)
             for column, name in enumerate(names):
