@@ -62,7 +62,7 @@ def test_stereo_on_a_featureless_target_says_so(name: str, target: Target) -> No
             prior = Prior(np.array(truth.position_m), 0.01)
             box = boxes.find(frame)[0].box_px
             seen = StereoRanger(of.rig, target, Config().stereo).measure(
-                0, Pair.of(frame.left, frame.right, of.rig), box, prior
+                0, Pair(frame.left, frame.right, of.rig), box, prior
             )
             if isinstance(seen, Rejected):
                 assert seen.reason
@@ -105,7 +105,7 @@ def test_an_outline_partly_lit_and_partly_out_of_view_is_honest(side: int, lamp:
             if cut:  # the housing's edge, black, over one side
                 lit[:, : int(middle[0, 0] - (1 - cut) * radius_px)] = 0
             images.append(lit)
-        pair = Pair.of(images[0], images[1], of.rig)
+        pair = Pair(images[0], images[1], of.rig)
         found = OutlineRanger(BALL, Config().outline).measure(0, pair, true_m * 1.01)
         assert isinstance(found, Measurement)
         gradient = BALL.range(found.z)[1]

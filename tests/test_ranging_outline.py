@@ -49,7 +49,7 @@ def measure(contrast: float, frame: StereoFrame, ball: Sphere, factor: float) ->
     """From a start that is off by a factor in distance, and in size where that is not known."""
     x = truth(contrast, frame) * factor
     ranger = OutlineRanger(ball, SETTINGS)
-    return ranger.measure(frame.t_ns, Pair.of(frame.left, frame.right, dive(0.8).rig), x[: 3 + len(ball.shape_mean)])
+    return ranger.measure(frame.t_ns, Pair(frame.left, frame.right, dive(0.8).rig), x[: 3 + len(ball.shape_mean)])
 
 
 @pytest.mark.parametrize("factor", [0.98, 1.0, 1.02])
@@ -83,11 +83,11 @@ def test_a_picture_without_a_ball_is_turned_away(kind: str) -> None:
     noise = rng.normal(0, 2.0, shape) if "noise" in kind else np.zeros(shape)
     image = np.asarray(np.round(noise + (0 if kind == "black" else 90)), np.uint8)
     ranger = OutlineRanger(Sphere(2 * RADIUS_M), SETTINGS)
-    assert isinstance(ranger.measure(0, Pair.of(image, image, dive(0.8).rig), truth(0.8, frame)[:3]), Rejected)
+    assert isinstance(ranger.measure(0, Pair(image, image, dive(0.8).rig), truth(0.8, frame)[:3]), Rejected)
 
 
 def test_a_ball_that_fills_the_view_has_no_outline() -> None:
     frame = frames(0.8)[0]
     ranger = OutlineRanger(Sphere(2 * RADIUS_M), SETTINGS)
     near = truth(0.8, frame)[:3] * 0.2
-    assert isinstance(ranger.measure(0, Pair.of(frame.left, frame.right, dive(0.8).rig), near), Rejected)
+    assert isinstance(ranger.measure(0, Pair(frame.left, frame.right, dive(0.8).rig), near), Rejected)

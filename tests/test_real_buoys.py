@@ -59,7 +59,7 @@ def test_the_ball_comes_nearer_through_the_last_frame(data_dir: Path) -> None:
     frames = tracked(data_dir / "buoy_approach_frames")
     assert len(frames) == 100
     for number, (image, box) in enumerate(frames):
-        size = ranger.measure(number, Pair.of(image, image, rig), place(rig, box), sides=("left",))
+        size = ranger.measure(number, Pair(image, image, rig), place(rig, box), sides=("left",))
         if isinstance(size, Measurement):
             range_m, gradient = BALL.range(size.z)
             rows.append((number, range_m, float(np.sqrt(gradient @ size.cov @ gradient))))

@@ -41,7 +41,7 @@ def frames(of: SimulatedDive) -> tuple[StereoFrame, ...]:
 def look(target: Target, of: SimulatedDive, frame: StereoFrame) -> Fit | str:
     """Stereo on one frame, from nothing but its two images."""
     height, width = frame.left.shape[:2]
-    pair = Pair.of(frame.left, frame.right, of.rig)
+    pair = Pair(frame.left, frame.right, of.rig)
     return StereoRanger(of.rig, target, Config().stereo).fit(pair, (0.0, 0.0, float(width), float(height)), None)
 
 

@@ -35,7 +35,7 @@ class Sight:
 
     def measure(self, frame: StereoFrame, box: Box, before: Estimate | None, skew: Skew) -> Found:
         """All that one frame says, at its left exposure."""
-        pair = Pair.of(frame.left, frame.right, skew.rig(self._rig))
+        pair = Pair(frame.left, frame.right, skew.rig(self._rig))
         guess = self._prior(before)
         found = self._see(taken_ns(frame), pair, box, guess)
         places = [one for one in found if isinstance(one, Measurement)]

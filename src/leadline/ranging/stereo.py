@@ -53,10 +53,6 @@ class Pair:
     right_image: Image
     rig: Rig
 
-    @classmethod
-    def of(cls, left: Image, right: Image, rig: Rig) -> Pair:
-        return cls(left, right, rig)
-
 
 @dataclass(frozen=True, slots=True)
 class Prior:
