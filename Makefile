@@ -3,21 +3,23 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
+TOOLS  := $(VENV)/.ready-for-tests
+INSTALL = -m pip install --quiet --disable-pip-version-check
 
 .PHONY: demo test test-all bench lint clean
 demo: $(READY)
 	$(BIN)/leadline demo
 
-test: $(READY) lint
+test: $(TOOLS) lint
 	$(BIN)/python -m pytest -n 2 -m "not long"
 
-test-all: $(READY) lint
+test-all: $(TOOLS) lint
 	$(BIN)/python -m pytest -n 2
 
-bench: $(READY)
+bench: $(TOOLS)
 	$(BIN)/python -m benchmarks
 
-lint: $(READY)
+lint: $(TOOLS)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -25,8 +27,12 @@ lint: $(READY)
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade "pip>=25.1"
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable . --group dev
+	$(BIN)/python $(INSTALL) --upgrade "pip>=25.1"
+	$(BIN)/python $(INSTALL) --constraint constraints.txt --editable .
+	touch $@
+
+$(TOOLS): $(READY)
+	$(BIN)/python $(INSTALL) --constraint constraints.txt --editable '.[train,live,mavlink]' --group dev
 	touch $@
 
 clean:
