@@ -1,32 +1,45 @@
-"""How good a detector is: precision, recall and average precision as COCO counts them.
+"""How good a detector is: precision, recall and average precision as COCO counts them, by pycocotools.
 
-Boxes are x, y, w, h in one and the same pixel convention. One class: whoever needs several calls once for each. The
-tests hold the figures against faster-coco-eval, to all digits.
+Boxes are x, y, w, h in one and the same pixel convention. Classes are not looked at: whoever needs several calls once
+for each (COCO's figure is their mean) and once with all of them, for what was taken for what.
 """
 
 from __future__ import annotations
 
+import contextlib
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from leadline.samples import Array, Detection
 
 IOUS = np.linspace(0.5, 0.95, 10)
-RECALLS = np.linspace(0, 1, 101)
 MOST_PER_IMAGE = 100
+CATEGORY = 1
 
 Box = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """A detection and the true box that it matches at IoU 0.5: ``truth`` its number in the image, None: false."""
+
+    image: str
+    detection: Detection
+    truth: int | None
+    iou: float
 
 
 @dataclass(frozen=True, slots=True)
 class DetectionQuality:
     """AP over IoU thresholds and the precision-recall curve at IoU 0.5.
 
-    ``ap`` (10,) at IoU 0.50, 0.55 ... 0.95. ``precision``, ``recall``, ``score`` (K,) at IoU 0.5, one for each
-    detection from the best score down, precision and recall being those at that threshold. ``found_iou`` (T,): for each
-    true box, the IoU of its match at IoU 0.5, or 0 where it was missed.
+    ``ap`` (10,) at IoU 0.50, 0.55 ... 0.95, NaN without a true box. ``pairs``: one for each detection from the best
+    score down; ``precision``, ``recall``, ``score`` (K,) go with them and are those at that threshold. ``found_iou``
+    (T,): for each true box, image by image in order of name, the IoU of its match at IoU 0.5, or 0 where it was missed.
     """
 
     images: int
@@ -36,10 +49,15 @@ class DetectionQuality:
     recall: Array
     score: Array
     found_iou: Array
+    pairs: tuple[Pair, ...]
 
     @property
     def ap50(self) -> float:
         return float(self.ap[0])
+
+    @property
+    def ap75(self) -> float:
+        return float(self.ap[5])
 
     @property
     def ap50_95(self) -> float:
@@ -56,48 +74,68 @@ def evaluate_detections(
 ) -> DetectionQuality:
     """Compare detections with true boxes, both by image name; images without true boxes count as empty ones."""
     names = sorted(truth)
-    kept = {n: sorted(found.get(n, ()), key=lambda d: -d.score)[:MOST_PER_IMAGE] for n in names}
-    overlaps = {n: _iou_table([d.box_px for d in kept[n]], truth[n]) for n in names}
-    scores = np.array([d.score for n in names for d in kept[n]], np.float64)
-    order = np.argsort(-scores, kind="stable")
+    evaluator = _evaluate([found.get(name, ()) for name in names], [truth[name] for name in names])
     count = sum(len(boxes) for boxes in truth.values())
-    ap = np.zeros(len(IOUS))
-    curves: list[tuple[Array, Array]] = []
-    for k, threshold in enumerate(IOUS):
-        hit = np.concatenate([_match(overlaps[n], threshold)[0] for n in names] or [np.zeros(0)])[order]
-        recall = np.cumsum(hit) / max(count, 1)
-        precision = np.cumsum(hit) / np.arange(1, len(hit) + 1)
-        ap[k] = average_precision(precision, recall) if count else np.nan
-        curves.append((precision, recall))
-    found_iou = np.concatenate([_match(overlaps[n], IOUS[0])[1] for n in names] or [np.zeros(0)])
-    return DetectionQuality(len(names), count, ap, *curves[0], scores[order], found_iou)
+    ap = evaluator.eval["precision"][:, :, 0, 0, 0].mean(axis=1) if count else np.full(len(IOUS), np.nan)
+    pairs = _pairs(evaluator, names, found, truth)
+    hits = np.cumsum([pair.truth is not None for pair in pairs])
+    found_iou = {(pair.image, pair.truth): pair.iou for pair in pairs}
+    return DetectionQuality(
+        images=len(names),
+        truths=count,
+        ap=np.asarray(ap, np.float64),
+        precision=hits / np.arange(1, len(pairs) + 1),
+        recall=hits / max(count, 1),
+        score=np.array([pair.detection.score for pair in pairs], np.float64),
+        found_iou=np.array([found_iou.get((name, k), 0.0) for name in names for k in range(len(truth[name]))]),
+        pairs=tuple(pairs),
+    )
 
 
-def average_precision(precision: Array, recall: Array) -> float:
-    """The mean of the best precision at recall >= r, over r = 0, 0.01 ... 1 (COCO's 101 points)."""
-    envelope = np.maximum.accumulate(precision[::-1])[::-1]
-    at = np.searchsorted(recall, RECALLS, side="left")
-    return float(np.where(at < len(envelope), np.append(envelope, 0.0)[np.minimum(at, len(envelope))], 0.0).mean())
+def _evaluate(found: Sequence[Sequence[Detection]], truth: Sequence[Sequence[Box]]) -> Any:
+    """pycocotools over images numbered from 0; boxes are numbered from 1, as it takes 0 for no match."""
+    from pycocotools.coco import COCO  # type: ignore[import-untyped]  # noqa: PLC0415
+    from pycocotools.cocoeval import COCOeval  # type: ignore[import-untyped]  # noqa: PLC0415
+
+    def table(notes: list[dict[str, Any]]) -> Any:
+        coco = COCO()
+        images = [{"id": number} for number in range(len(truth))]
+        notes = [{"id": k, "category_id": CATEGORY, "iscrowd": 0, **note} for k, note in enumerate(notes, 1)]
+        coco.dataset = {"images": images, "categories": [{"id": CATEGORY}], "annotations": notes}
+        coco.createIndex()
+        return coco
+
+    boxes = [{"image_id": i, "bbox": list(b), "area": b[2] * b[3]} for i, every in enumerate(truth) for b in every]
+    results = [
+        {"image_id": i, "bbox": list(d.box_px), "area": d.box_px[2] * d.box_px[3], "score": d.score}
+        for i, every in enumerate(found)
+        for d in every
+    ]
+    with contextlib.redirect_stdout(io.StringIO()):  # it tells its steps there
+        evaluator = COCOeval(table(boxes), table(results), "bbox")
+        evaluator.params.iouThrs = IOUS
+        evaluator.params.maxDets = [MOST_PER_IMAGE]
+        evaluator.params.areaRng, evaluator.params.areaRngLbl = [[0, 1e10]], ["all"]
+        evaluator.evaluate()
+        evaluator.accumulate()
+    return evaluator
 
 
-def _iou_table(boxes: Sequence[Box], truths: Sequence[Box]) -> Array:
-    """(detections, truths)"""
-    a, b = np.array(boxes, np.float64).reshape(-1, 1, 4), np.array(truths, np.float64).reshape(1, -1, 4)
-    size = np.minimum(a[..., :2] + a[..., 2:], b[..., :2] + b[..., 2:]) - np.maximum(a[..., :2], b[..., :2])
-    shared = size.clip(min=0).prod(-1)
-    union = a[..., 2:].prod(-1) + b[..., 2:].prod(-1) - shared
-    return np.asarray(shared / np.maximum(union, 1e-12))
-
-
-def _match(table: Array, threshold: float) -> tuple[Array, Array]:
-    """Best score first, each detection takes the free true box that it overlaps most, if by ``threshold``.
-
-    ``table`` (detections, truths) of IoUs -> hit (detections,) 0 or 1, and each true box's IoU (truths,), 0 if missed.
-    """
-    hit, taken = np.zeros(len(table)), np.zeros(table.shape[1])
-    for k, row in enumerate(table):
-        free = np.where(taken > 0, -1.0, row)
-        best = int(free.argmax()) if len(free) else -1
-        if best >= 0 and free[best] >= threshold - 1e-10:
-            hit[k], taken[best] = 1, free[best]
-    return hit, taken
+def _pairs(
+    evaluator: Any,
+    names: Sequence[str],
+    found: Mapping[str, Sequence[Detection]],
+    truth: Mapping[str, Sequence[Box]],
+) -> list[Pair]:
+    """Every detection with its match at IoU 0.5, the best score first."""
+    detections = [d for name in names for d in found.get(name, ())]
+    number_in_image = [k for name in names for k in range(len(truth[name]))]
+    pairs = []
+    for one in filter(None, evaluator.evalImgs):
+        image = one["image_id"]
+        overlaps = evaluator.ious[image, CATEGORY]  # (detections, true boxes), empty where either is missing
+        for row, (which, match) in enumerate(zip(one["dtIds"], one["dtMatches"][0], strict=True)):
+            number = number_in_image[int(match) - 1] if match else None
+            iou = 0.0 if number is None else float(overlaps[row][number])
+            pairs.append(Pair(names[image], detections[which - 1], number, iou))
+    return sorted(pairs, key=lambda pair: -pair.detection.score)
