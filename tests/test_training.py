@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 
 from leadline.errors import InputError
 from leadline.training.augment import Picture, clipped, framed, mosaic, other_water
-from leadline.training.dataset import Example, read_coco, read_voc, split_by_numbers
+from leadline.training.dataset import Example, read_voc, split_by_numbers
 
 VOC = (
     "<annotation><object><name>{}</name><bndbox><xmin>1</xmin><ymin>2</ymin><xmax>11</xmax><ymax>22</ymax></bndbox>"
@@ -42,25 +41,6 @@ def test_bad_voc_is_told_with_the_file(tmp_path: Path) -> None:
     (folder / "Annotations" / "8.xml").write_text(VOC.format("ball").replace("11", "eleven"))
     with pytest.raises(InputError, match=r"8\.xml: not a Pascal VOC annotation"):
         read_voc(folder, ["ball"])
-
-
-def test_coco(tmp_path: Path) -> None:
-    data = {
-        "categories": [{"id": 7, "name": "pile"}, {"id": 3, "name": "ball"}],
-        "images": [{"id": 1, "file_name": "a.jpg"}, {"id": 2, "file_name": "b.jpg"}],
-        "annotations": [{"image_id": 1, "category_id": 7, "bbox": [1, 2, 10, 20]}],
-    }
-    file = tmp_path / "annotations.json"
-    file.write_text(json.dumps(data))
-    first, second = read_coco(file)
-    assert first.image == tmp_path / "a.jpg"
-    assert first.boxes.tolist() == [[1, 2, 11, 22]]
-    assert first.classes.tolist() == [1]
-    assert second.boxes.shape == (0, 4)
-    del data["images"]
-    file.write_text(json.dumps(data))
-    with pytest.raises(InputError, match=r"annotations\.json: not a COCO"):
-        read_coco(file)
 
 
 def test_split_keeps_whole_ranges_apart() -> None:
