@@ -1,0 +1,95 @@
+"""Does a sensor come at its rate? Off, slow, intermittent.
+
+Each turn of its period is a hit or a miss. Misses speak for a fault by log(0.5 / p0), hits against it by
+log((1 - p0) / 0.5), p0 the sensor's own rate of misses as learned while it was well: a cumulative sum test (Page 1954),
+false once in about e^LIMIT samples.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from math import log
+from statistics import median
+
+from leadline.health.states import State, Verdict
+from leadline.samples import NS_PER_S
+
+LIMIT = 9.0
+LEARNT_AFTER = 6  # intervals
+FIRST_S = 3.0  # a part that has never come within this time is off
+LEAST_GAP_S = 0.5  # shorter silences are no silence
+GAP_PERIODS = 3.5
+PRIOR_MISSES, PRIOR_TURNS = 2.0, 100.0
+WELL_AGAIN = 3  # hits in a row
+
+
+class Pace:
+    """period_s: where it is known; else it is learnt from the first samples."""
+
+    def __init__(self, start_ns: int, period_s: float | None = None) -> None:
+        self._start_ns = start_ns
+        self.period_s = period_s
+        self._last: tuple[int, int] | None = None  # arrival, stamp
+        self._intervals: deque[float] = deque(maxlen=LEARNT_AFTER)
+        self._misses, self._turns = PRIOR_MISSES, PRIOR_TURNS
+        self._sum = 0.0
+        self._hits = WELL_AGAIN
+        self._late = False
+
+    def arrive(self, now_ns: int, t_ns: int) -> None:
+        """A sample stamped ``t_ns`` is here; both times by the clock of the computer."""
+        last, self._last = self._last, (now_ns, t_ns)
+        if last is None:
+            return
+        interval_s = _interval_s(now_ns - last[0], t_ns - last[1])
+        self._intervals.append(interval_s)
+        if self.period_s is None:
+            if len(self._intervals) == LEARNT_AFTER:
+                self.period_s = max(median(self._intervals), 1e-4)
+            return
+        self._count(interval_s)
+
+    def verdict(self, now_ns: int) -> Verdict:
+        if self._last is None:
+            silent_s = (now_ns - self._start_ns) / NS_PER_S
+            return (State.OFF, f"nothing has come for {silent_s:.0f} s") if silent_s > FIRST_S else None
+        silent_s = (now_ns - self._last[0]) / NS_PER_S
+        period_s = self.period_s or FIRST_S / GAP_PERIODS
+        if silent_s > max(LEAST_GAP_S, GAP_PERIODS * period_s):
+            self._late, self._hits = True, 0
+            return State.OFF, f"nothing for {silent_s:.1f} s, usually every {period_s:.2f} s"
+        if not self._late:
+            return None
+        return self._how(period_s)
+
+    def _count(self, interval_s: float) -> None:
+        assert self.period_s is not None
+        misses = min(round(interval_s / self.period_s) - 1, 20)
+        if misses <= 0:
+            self._hits += 1
+            self.period_s += 0.02 * (min(max(interval_s, 0.8 * self.period_s), 1.2 * self.period_s) - self.period_s)
+        else:
+            self._hits = 0
+        p0 = min(self._misses / self._turns, 0.3)
+        self._sum = max(0.0, self._sum + max(misses, 0) * log(0.5 / p0) - log((1 - p0) / 0.5))
+        if self._sum >= LIMIT:
+            self._late = True
+        if self._late and self._hits >= WELL_AGAIN:
+            self._late, self._sum = False, 0.0
+        if not self._late and self._sum == 0.0:
+            self._misses, self._turns = (
+                self._misses * 0.9995 + max(misses, 0),
+                self._turns * 0.9995 + 1 + max(misses, 0),
+            )
+
+    def _how(self, period_s: float) -> tuple[State, str]:
+        recent = list(self._intervals)[-3:]
+        if len(recent) >= 2 and min(recent[-2:]) > 1.6 * period_s and max(recent[-2:]) < 1.3 * min(recent[-2:]):
+            return State.SLOW, f"every {recent[-1]:.2f} s, usually every {period_s:.2f} s"
+        return State.INTERMITTENT, f"samples are missing, usually every {period_s:.2f} s"
+
+
+def _interval_s(arrivals_ns: int, stamps_ns: int) -> float:
+    """Between two samples: by their stamps, which have no jitter, unless these make no sense."""
+    sane = stamps_ns > 0 and abs(stamps_ns - arrivals_ns) < NS_PER_S // 2
+    return (stamps_ns if sane else arrivals_ns) / NS_PER_S

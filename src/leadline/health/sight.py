@@ -1,0 +1,95 @@
+"""What can be told of a sensor only by the others: boxes that are nowhere, readings that the cameras contradict."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+from leadline.health.states import Part, State, Verdict
+from leadline.samples import NS_PER_S, Detection, Kind, Solution, StereoFrame
+
+VISION = frozenset({Kind.STEREO, Kind.SIZE, Kind.SPOT})
+READINGS, AGAINST = 5, 4
+FRAMES, FRAMES_AGAINST = 8, 6
+RECENT_S = 1.5
+REACH = 1.0  # of a box's size: a target in view lies this near the middle of its box
+Box = tuple[float, float, float, float]
+
+
+class Boxes:
+    """The detector's, from frame to frame."""
+
+    def __init__(self) -> None:
+        self._last: tuple[Box, ...] = ()
+        self._picture: bytes = b""
+        self._repeats = 0
+
+    def judge(
+        self, frame: StereoFrame, detections: Sequence[Detection], expected_px: tuple[float, float] | None
+    ) -> Verdict:
+        boxes = tuple(detection.box_px for detection in detections)
+        picture = frame.left[::32, ::32].tobytes()
+        same = bool(boxes) and boxes == self._last and picture != self._picture
+        self._repeats = self._repeats + 1 if same else 0
+        self._last, self._picture = boxes, picture
+        if self._repeats >= 2:
+            return State.STUCK, "the same box in other pictures"
+        if any(not _inside(box, frame) for box in boxes):
+            return State.GARBAGE, "a box that is not in the picture"
+        if expected_px is None:
+            return None
+        if not boxes:
+            return State.OFF, "does not see a target that is in view"
+        if min(_off(box, expected_px) for box in boxes) > REACH:
+            return State.WRONG, "sees it where it cannot be"
+        return None
+
+
+def _inside(box: Box, frame: StereoFrame) -> bool:
+    x, y, width, height = box
+    rows, columns = int(frame.left.shape[0]), int(frame.left.shape[1])
+    return 0 < width <= 1.2 * columns and 0 < height <= 1.2 * rows and -width < x < columns and -height < y < rows
+
+
+def _off(box: Box, point_px: tuple[float, float]) -> float:
+    """Distance of a point from a box's middle, in the box's half size."""
+    x, y, width, height = box
+    return max(abs(point_px[0] - x - width / 2) / (width / 2), abs(point_px[1] - y - height / 2) / (height / 2)) / 2
+
+
+class Contradictions:
+    """Measurements turned away again and again while another sensor's are taken."""
+
+    def __init__(self) -> None:
+        self._laser: deque[bool] = deque(maxlen=READINGS)
+        self._vision: deque[bool] = deque(maxlen=FRAMES)
+        self._laser_ns = self._vision_ns = -(10**18)  # when each was last taken
+        self._words = ""
+
+    def see(self, solution: Solution) -> None:
+        rejected = {one.kind for one in solution.rejected}
+        if Kind.LASER in solution.used or Kind.LASER in rejected:
+            self._laser.append(Kind.LASER not in solution.used)
+        if Kind.LASER in solution.used:
+            self._laser_ns = solution.t_ns
+        if VISION & set(solution.used):
+            self._vision_ns = solution.t_ns
+            self._vision.append(False)
+        elif VISION & rejected and any(one.nis is not None for one in solution.rejected if one.kind in VISION):
+            self._vision.append(True)
+
+    def verdict(self, part: Part, now_ns: int) -> Verdict:
+        if part is Part.LASER:
+            seen = now_ns - self._vision_ns < RECENT_S * NS_PER_S
+            if seen and len(self._laser) == READINGS and sum(self._laser) >= AGAINST and any(list(self._laser)[-2:]):
+                return State.WRONG, "its readings contradict what the cameras see"
+            return None
+        read = now_ns - self._laser_ns < RECENT_S * NS_PER_S
+        if (
+            read
+            and len(self._vision) == FRAMES
+            and sum(self._vision) >= FRAMES_AGAINST
+            and any(list(self._vision)[-2:])
+        ):
+            return State.WRONG, "what the cameras see contradicts the laser: one of them is wrong"
+        return None
