@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from leadline.ranging.images import Float32, Region, cubic, linear, spline_coefficients
+from leadline.ranging.images import Float32, Region, doubled, linear
 from leadline.ranging.patches import Limits, Matches, Warp, refine, search
 from leadline.samples import Array
 
@@ -130,14 +130,26 @@ def test_slant_is_followed() -> None:
 
 
 def test_sampling_is_exact() -> None:
-    """Linear on a ramp, where OpenCV 4's tables of 1/32 px show; cubic against SciPy's spline of the same noise."""
+    """Linear on a ramp, where OpenCV 4's tables of 1/32 px show; half pixels against SciPy's spline of noise."""
     rng = np.random.default_rng(7)
     x, y = (rng.uniform(20, 80, (40, 50)).astype(np.float32) for _ in range(2))
     v, u = np.mgrid[0:100, 0:100].astype(np.float32)
     np.testing.assert_allclose(linear(2 * u - v, x, y), 2 * x - y, atol=1e-3)
     image = rng.uniform(0, 255, (100, 100)).astype(np.float32)
-    reference = ndimage.map_coordinates(image.astype(float), [y.astype(float), x.astype(float)], order=3, mode="mirror")
-    np.testing.assert_allclose(cubic(spline_coefficients(image), x, y), reference, atol=0.2)
+    halves = np.mgrid[40:160, 40:160] / 2
+    reference = ndimage.map_coordinates(image.astype(float), halves, order=3, mode="mirror")
+    np.testing.assert_allclose(doubled(image)[40:160, 40:160], reference, atol=0.2)
+
+
+@pytest.mark.parametrize(("wave_px", "most_px"), [(4.0, 0.01), (6.0, 0.003), (12.0, 0.001)])
+def test_sampling_moves_no_wave(wave_px: float, most_px: float) -> None:
+    """Whole periods sampled at all fractions of a pixel: the wave is where it was (linear at whole pixels: 0.05 px)."""
+    k = 2 * np.pi / wave_px
+    fine = doubled(np.tile(np.cos(k * np.arange(100.0)), (40, 1)).astype(np.float32))
+    x = np.arange(20.0, 80.0) + np.linspace(0, 1, 21)[:, None]
+    seen = linear(fine, (2 * x).astype(np.float32), np.full_like(x, 40.0, np.float32))
+    moved_px = np.angle((seen * np.exp(-1j * k * x)).sum(axis=1)) / k
+    assert np.abs(moved_px).max() < most_px
 
 
 @pytest.mark.parametrize("level", [0, 1, 2])
@@ -146,7 +158,7 @@ def test_a_region_knows_where_it_is(level: int) -> None:
     ramp = np.tile(np.arange(200, dtype=np.uint8), (120, 1))
     region = Region.of(ramp, level, np.array([37.0, 21.0]), np.array([150.0, 90.0]))
     here = region.to_here(np.array([[101.0, 50.0]]))
-    seen = cubic(spline_coefficients(region.grey), *here.T[:, :, None].astype(np.float32))
+    seen = linear(region.grey, *here.T[:, :, None].astype(np.float32))
     assert seen[0, 0] == pytest.approx(101.0, abs=0.6)  # the first halving rounds to whole grey levels
     np.testing.assert_allclose(region.to_full(here), [[101.0, 50.0]])
 

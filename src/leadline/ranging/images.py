@@ -1,7 +1,7 @@
 """Image regions at a level of size, and exact sampling.
 
-OpenCV 5's ``cv2.remap`` interpolates linearly at the very coordinates it is given (OpenCV 4 rounds them to 1/32 px). A
-cubic B-spline is four such samples with weights (Sigg and Hadwiger, GPU Gems 2, chapter 20), exact and fast.
+OpenCV 5's ``cv2.remap`` interpolates linearly at the very coordinates it is given (OpenCV 4 rounds them to 1/32 px). In
+an image with a cubic spline at its half pixels, waves stay where they are: to 0.003 px where they are 6 px long.
 """
 
 from __future__ import annotations
@@ -16,8 +16,17 @@ from leadline.samples import Array, Image
 
 Float32 = NDArray[np.float32]
 
-_POLE = np.sqrt(3.0) - 2.0  # of the filter that turns grey levels into B-spline coefficients (Unser 1993)
-_PREFILTER = (np.sqrt(3.0) * _POLE ** np.abs(np.arange(-6, 7.0))).astype(np.float32)  # its tail: 1e-4
+
+def _halfway() -> Float32:
+    """(12,) weights that give the cubic spline through samples halfway between them (Unser 1993)."""
+    pole = np.sqrt(3.0) - 2.0
+    coefficients = np.sqrt(3.0) * pole ** np.abs(np.arange(-8, 9.0))
+    weights = np.convolve(coefficients, np.array([1, 23, 23, 1]) / 48)[4:-4]
+    return np.asarray(weights / weights.sum(), np.float32)
+
+
+_HALFWAY = _halfway()
+HALFWAY = float(_HALFWAY[5]), float(_HALFWAY @ _HALFWAY)  # covariance with a neighbour, and variance, of white noise
 
 
 def _grey(image: Image) -> Image:
@@ -65,28 +74,13 @@ def linear(image: Float32, x_px: Float32, y_px: Float32) -> Float32:
     return np.asarray(cv2.remap(image, x_px, y_px, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
 
 
-def spline_coefficients(image: Float32) -> Float32:
-    """Of the cubic B-spline through an image's grey levels."""
-    return np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, _PREFILTER, _PREFILTER), np.float32)
+def doubled(image: Float32) -> Float32:
+    """(2 H, 2 W) the cubic spline through an image at every half pixel: what linear interpolation adds is an eighth.
 
-
-def cubic(coefficients: Float32, x_px: Float32, y_px: Float32) -> Float32:
-    """The spline at coordinates (N, W): four linear samples, each standing for 2 x 2 coefficients."""
-    x0, x1, right = _pairs(x_px)
-    y0, y1, below = _pairs(y_px)
-    upper, lower = linear(coefficients, x0, y0), linear(coefficients, x0, y1)
-    upper += right * (linear(coefficients, x1, y0) - upper)
-    lower += right * (linear(coefficients, x1, y1) - lower)
-    upper += below * (lower - upper)
-    return upper
-
-
-def _pairs(t: Float32) -> tuple[Float32, Float32, Float32]:
-    """Where to sample in each of the two pairs of coefficients, and the second pair's weight."""
-    whole = np.floor(t)
-    f = t - whole
-    f3 = f * f * f
-    second = (1 / 6 + 0.5 * f) + (0.5 * f * f - (1 / 3) * f3)
-    first = 1 - second
-    middle = (2 / 3 - f * f) + 0.5 * f3
-    return whole - 1 + middle / first, whole + 1 + f3 / (6 * second), second
+    Pixel (x, y) is at (2 x, 2 y).
+    """
+    height, width = image.shape
+    one = np.ones(1, np.float32)
+    rows = cv2.merge([image, cv2.sepFilter2D(image, cv2.CV_32F, _HALFWAY, one, anchor=(5, 0))]).reshape(height, -1)
+    between = cv2.sepFilter2D(rows, cv2.CV_32F, one, _HALFWAY, anchor=(0, 5))
+    return np.stack([rows, between], axis=1).reshape(2 * height, 2 * width)
