@@ -5,16 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import onnxruntime
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from leadline.config import Provider
 from leadline.errors import InputError
+from leadline.recognition import runtime
 from leadline.recognition.boxes import Boxes
-from leadline.recognition.detector import Detector, letterbox
+from leadline.recognition.detector import Detector
+from leadline.recognition.heads import recognise
+from leadline.recognition.letterbox import letterbox, planes
 from leadline.recognition.track import choose, iou
 from leadline.samples import Detection, StereoFrame
-from tiny_onnx import constant_model
+from tiny_onnx import DOUBLE, FLOAT16, UINT8, constant_model
 
 NAMES = {"names": "{0: 'ball', 1: 'pile'}"}
 
@@ -71,6 +76,83 @@ def test_nms_keeps_the_best_of_a_class_and_other_classes(tmp_path: Path, image: 
     assert len(low.detect(image)) == 4
 
 
+def yolox_output(width: int, height: int, classes: int = 1) -> np.ndarray:
+    """One box on row 3, column 2 of stride 8: centre (20, 30), 10 x 8, score 0.45."""
+    output = np.zeros((1, 21 * width * height // 1024, 5 + classes), np.float32)
+    output[0, 3 * (width // 8) + 2, :6] = 0.5, 0.75, np.log(10 / 8), np.log(8 / 8), 0.9, 0.5
+    return output
+
+
+@pytest.mark.parametrize(("width", "height"), [(128, 64), (64, 128), (160, 96)])
+def test_yolox_at_rectangular_sizes(tmp_path: Path, width: int, height: int) -> None:
+    model = constant_model(tmp_path / "m.onnx", yolox_output(width, height), (1, 3, height, width))
+    (found,) = Detector(model).detect(np.zeros((height, width, 3), np.uint8))
+    assert found.box_px == pytest.approx((14.5, 25.5, 10, 8))
+
+
+def test_yolox_whose_boxes_are_in_pixels_already(tmp_path: Path, image: np.ndarray) -> None:
+    """As LibreYOLO exports it."""
+    output = np.zeros((1, 84, 6), np.float32)
+    corners = [8 * (k % 8) + 4 for k in range(64)], [8 * (k // 8) + 4 for k in range(64)]
+    output[0, :64, 0], output[0, :64, 1] = corners
+    output[0, 3 * 8 + 2] = 20, 30, 10, 8, 0.9, 0.5
+    (found,) = Detector(constant_model(tmp_path / "m.onnx", output)).detect(image)
+    assert found.box_px == pytest.approx((29.5, 19.5, 20, 16))
+
+
+def test_the_head_is_told_where_shapes_are_not_enough() -> None:
+    """A 64 x 64 input has 84 cells: 80 classes then give a square, 2 classes or 1 as many columns as end-to-end."""
+    square = np.zeros((1, 84, 84), np.float32)
+    square[0, :2] = 32.0  # centres by rows
+    told = {names: recognise(square, 64, 64, names) for names in (0, 80)}
+    assert [head and head.name for head in told.values()] == ["yolov8", "yolov8"]
+    assert recognise(square, 64, 64, 79) is None  # rows 4 and 5 are no scores, columns 4 and on neither
+    swapped = recognise(square.transpose(0, 2, 1), 64, 64, 79)
+    assert swapped is not None
+    assert swapped.name == "yolox"
+    few = np.zeros((1, 84, 6), np.float32)
+    few[0, :, 4:] = 0.3, 0.6  # no class is 0.6
+    assert [head and head.name for head in (recognise(few, 64, 64, n) for n in (0, 1, 2))] == ["yolox", "yolox", None]
+    few[0, :, 5] = 1.0
+    told_end = recognise(few, 64, 64, 2)
+    assert told_end is not None
+    assert told_end.name == "end-to-end"
+    tiny = np.zeros((1, 84, 21), np.float32)  # 80 classes on 32 x 32: more rows than columns
+    assert [head and head.name for head in (recognise(tiny, 32, 32, n) for n in (0, 80))] == ["yolov8", "yolov8"]
+    assert recognise(np.full((1, 6, 84), 7.0, np.float32), 64, 64) is None  # no scores, logits
+    assert recognise(np.full((1, 6, 84), np.nan, np.float32), 64, 64) is None
+
+
+@pytest.mark.parametrize(
+    ("shape", "size"), [(("batch", 3, "h", "w"), (640, 320)), ((1, 3, 64, "w"), (128, 64)), ((1, 3, "h", 64), (64, 32))]
+)
+def test_sizes_that_are_free(
+    tmp_path: Path, image: np.ndarray, shape: tuple[int | str, ...], size: tuple[int, int]
+) -> None:
+    model = constant_model(tmp_path / "m.onnx", yolov8_output((20, 16, 10, 8, 0.9, 0)), shape)
+    scale = size[0] / 128
+    (found,) = Detector(model).detect(image)
+    assert found.box_px == pytest.approx((15 / scale - 0.5, 12 / scale - 0.5, 10 / scale, 8 / scale))
+
+
+def test_the_long_side_of_a_free_model_can_be_chosen(tmp_path: Path, image: np.ndarray) -> None:
+    meta = {"imgsz": "[256, 256]"}
+    model = constant_model(tmp_path / "m.onnx", yolov8_output((20, 16, 10, 8, 0.9, 0)), (1, 3, "h", "w"), meta)
+    widths = [Detector(model, long_side_px=side).detect(image)[0].box_px[2] for side in (None, 128, 512)]
+    assert widths == pytest.approx([5, 10, 2.5])
+
+
+@pytest.mark.parametrize("kind", [UINT8, FLOAT16])
+def test_inputs_of_bytes_and_of_half_precision(tmp_path: Path, image: np.ndarray, kind: int) -> None:
+    model = constant_model(tmp_path / "m.onnx", yolov8_output((20, 30, 10, 8, 0.9, 0)), input_type=kind)
+    assert len(Detector(model).detect(image)) == 1
+
+
+def test_a_box_in_the_border_alone_is_none(tmp_path: Path, image: np.ndarray) -> None:
+    model = constant_model(tmp_path / "m.onnx", yolov8_output((32, 6, 20, 10, 0.9, 0)))
+    assert Detector(model).detect(image) == []
+
+
 def test_find_looks_at_the_left_image(tmp_path: Path, image: np.ndarray) -> None:
     detector = Detector(constant_model(tmp_path / "m.onnx", yolov8_output((20, 30, 10, 8, 0.9, 0))))
     frame = StereoFrame(0, image, np.zeros((10, 10), np.uint8))
@@ -88,25 +170,76 @@ def test_a_model_with_another_output_is_told_with_file_and_shape(tmp_path: Path,
 def test_models_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"absent\.onnx: no such model file"):
         Detector(tmp_path / "absent.onnx")
-    broken = tmp_path / "broken.onnx"
-    broken.write_bytes(b"\x08\x07 not a model")
-    with pytest.raises(InputError, match=r"broken\.onnx: not a readable ONNX model") as caught:
+    for content in (b"\x08\x07 not a model", b""):
+        broken = tmp_path / "broken.onnx"
+        broken.write_bytes(content)
+        with pytest.raises(InputError, match=r"broken\.onnx: not a readable ONNX model") as caught:
+            Detector(broken)
+        assert "\n" not in str(caught.value)
+    whole = constant_model(tmp_path / "whole.onnx", yolov8_output()).read_bytes()
+    broken.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match=r"broken\.onnx: not a readable ONNX model"):
         Detector(broken)
+
+
+@pytest.mark.parametrize(
+    ("shape", "kind", "told"),
+    [
+        ((1, 1, 64, 64), 1, r"unknown model input 1x1x64x64"),
+        ((1, 4, 64, 64), 1, r"unknown model input 1x4x64x64"),
+        ((1, 64, 64, 3), 1, r"unknown model input 1x64x64x3; .*channels first"),
+        ((1, 3, 64), 1, r"unknown model input 1x3x64"),
+        ((4, 3, 64, 64), 1, r"4 images at once; .*batch of 1"),
+        ((1, 3, 64, 64), DOUBLE, r"tensor\(double\)"),
+    ],
+)
+def test_models_with_another_input(tmp_path: Path, shape: tuple[int, ...], kind: int, told: str) -> None:
+    model = constant_model(tmp_path / "other.onnx", yolov8_output(), shape, input_type=kind)
+    with pytest.raises(InputError, match=told) as caught:
+        Detector(model)
+    assert "other.onnx" in str(caught.value)
+
+
+def test_a_model_for_another_task_and_classes_that_do_not_fit(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="made to segment"):
+        Detector(constant_model(tmp_path / "m.onnx", yolov8_output(), metadata={"task": "segment"}))
+    three = {"names": "{0: 'a', 1: 'b', 2: 'c'}"}
+    with pytest.raises(InputError, match="unknown model output 1x6x84 of 3 classes"):
+        Detector(constant_model(tmp_path / "m.onnx", yolov8_output(), metadata=three))
+
+
+@pytest.mark.parametrize("provider", ["cuda", "tensorrt", "openvino"])
+def test_a_provider_that_is_not_installed(provider: Provider, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: ["CPUExecutionProvider"])
+    with pytest.raises(InputError, match=rf"no {provider}, but cpu; .*pip install onnxruntime-") as caught:
+        Detector(provider=provider)
     assert "\n" not in str(caught.value)
-    grey = constant_model(tmp_path / "grey.onnx", yolov8_output(), input_shape=(1, 1, 64, 64))
-    with pytest.raises(InputError, match=r"grey\.onnx: unknown model input"):
-        Detector(grey)
+
+
+@pytest.mark.parametrize("provider", ["cuda", "tensorrt", "openvino"])
+def test_a_provider_that_does_not_start_is_not_replaced_in_silence(
+    provider: Provider, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: list(runtime.NAMES.values()))
+    with pytest.raises(InputError, match=provider):
+        Detector(provider=provider)
+
+
+def test_warm_up_runs_the_size_that_will_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    detector = Detector(constant_model(tmp_path / "m.onnx", yolov8_output(), (1, 3, "h", "w")))
+    seen = []
+    monkeypatch.setattr(detector._model, "run", lambda pixels: seen.append(pixels.shape) or yolov8_output())
+    detector.warm_up(320, 192)
+    assert seen == [(1, 3, 384, 640)]
 
 
 @pytest.mark.parametrize("size", [(64, 64), (128, 64), (64, 96)])
 def test_letterbox_maps_corners_onto_corners(size: tuple[int, int]) -> None:
-    image = np.full((60, 100, 3), 200, np.uint8)
-    blob, scale, pad = letterbox(image, size, bgr_255=True)
-    rows, columns = np.nonzero(blob[0, 0] == 200)
-    assert columns.min() == pad[0]
-    assert rows.min() == pad[1]
-    assert columns.max() + 1 - pad[0] == pytest.approx(100 * scale, abs=0.51)
-    assert rows.max() + 1 - pad[1] == pytest.approx(60 * scale, abs=0.51)
+    fitted = letterbox(np.full((60, 100, 3), 200, np.uint8), size)
+    rows, columns = np.nonzero(fitted.canvas[..., 0] == 200)
+    assert (columns.min(), rows.min()) == (fitted.left, fitted.top)
+    assert columns.max() + 1 - fitted.left == pytest.approx(100 * fitted.scale, abs=0.51)
+    assert rows.max() + 1 - fitted.top == pytest.approx(60 * fitted.scale, abs=0.51)
 
 
 @pytest.mark.parametrize("shape", [(512, 1024), (511, 1023), (300, 500), (40, 90)])
@@ -114,24 +247,47 @@ def test_letterbox_keeps_places_to_a_fraction_of_a_pixel(shape: tuple[int, int])
     height, width = shape
     y, x = np.mgrid[0:height, 0:width] + 0.5
     centre = 0.3 * width, 0.6 * height
-    blob_image = 255 * np.exp(-((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / (2 * (0.08 * height) ** 2))
-    blob, scale, pad = letterbox(blob_image.astype(np.uint8), (128, 64), bgr_255=True)
-    light = blob[0, 0].astype(float)
-    left, top, right, bottom = (int(v) for v in (*pad, pad[0] + width * scale + 0.5, pad[1] + height * scale + 0.5))
-    light[:, :left] = light[:, right:] = 0
-    light[:top] = light[bottom:] = 0
+    blob = 255 * np.exp(-((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / (2 * (0.08 * height) ** 2))
+    fitted = letterbox(np.repeat(blob[..., None].astype(np.uint8), 3, axis=2), (128, 64))
+    light = fitted.canvas[..., 0].astype(float)
+    right, bottom = int(fitted.left + width * fitted.scale + 0.5), int(fitted.top + height * fitted.scale + 0.5)
+    light[:, : fitted.left] = light[:, right:] = 0
+    light[: fitted.top] = light[bottom:] = 0
     rows, columns = np.mgrid[0:64, 0:128] + 0.5
     seen = np.array([(light * columns).sum(), (light * rows).sum()]) / light.sum()
-    assert (seen - pad) / scale == pytest.approx(centre, abs=0.35 / scale)
+    assert (seen - [fitted.left, fitted.top]) / fitted.scale == pytest.approx(centre, abs=0.35 / fitted.scale)
 
 
-def test_letterbox_channel_order_and_grey() -> None:
+def test_planes_order_and_scale() -> None:
     image = np.zeros((64, 64, 3), np.uint8)
     image[..., 2] = 255  # red, BGR
-    assert letterbox(image, (64, 64), bgr_255=False)[0][0, :, 0, 0] == pytest.approx([1, 0, 0])
-    assert letterbox(image, (64, 64), bgr_255=True)[0][0, :, 0, 0] == pytest.approx([0, 0, 255])
-    grey = np.full((64, 64), 51, np.uint8)
-    assert letterbox(grey, (64, 64), bgr_255=False)[0][0, :, 0, 0] == pytest.approx([0.2] * 3)
+    assert planes(image)[0, :, 0, 0] == pytest.approx([1, 0, 0])
+    assert planes(image, bgr_255=True)[0, :, 0, 0] == pytest.approx([0, 0, 255])
+    assert planes(image, np.uint8)[0, :, 0, 0].tolist() == [255, 0, 0]
+    half = planes(image, np.float16)
+    assert half.dtype == np.float16
+    assert half[0, :, 0, 0] == pytest.approx([1, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("image", "told"),
+    [
+        (np.zeros((64, 64), np.uint16), "uint16"),
+        (np.zeros((64, 64, 3), np.float32), "float32"),
+        (np.zeros((64, 64, 4), np.uint8), "64x64x4"),
+        (np.zeros((64, 64, 2), np.uint8), "64x64x2"),
+        (np.zeros((0, 0, 3), np.uint8), "0x0x3"),
+    ],
+)
+def test_images_that_are_none(tmp_path: Path, image: np.ndarray, told: str) -> None:
+    detector = Detector(constant_model(tmp_path / "m.onnx", yolov8_output((20, 30, 10, 8, 0.9, 0))))
+    with pytest.raises(InputError, match=told):
+        detector.detect(image)
+
+
+def test_grey_images_in_both_shapes(tmp_path: Path, image: np.ndarray) -> None:
+    detector = Detector(constant_model(tmp_path / "m.onnx", yolov8_output((20, 30, 10, 8, 0.9, 0))))
+    assert detector.detect(image[..., 0]) == detector.detect(image[..., :1]) == detector.detect(image)
 
 
 # boxes from a file

@@ -43,6 +43,13 @@ class MethodName(StrEnum):
     PAPER = "paper"
 
 
+class ProviderName(StrEnum):
+    CPU = "cpu"
+    CUDA = "cuda"
+    TENSORRT = "tensorrt"
+    OPENVINO = "openvino"
+
+
 class ImageFormat(StrEnum):
     PNG = "png"
     JPEG = "jpeg"
@@ -129,6 +136,7 @@ def run(
     headless: Annotated[bool, typer.Option("--headless", help="Never open a window or a browser.")] = False,
     real_time: Annotated[bool, typer.Option("--real-time", help="At the dive's own pace.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of a simulation.")] = 0,
+    provider: Annotated[ProviderName | None, typer.Option(help="What the detector runs on; default: cpu.")] = None,
     config: Annotated[Path | None, typer.Option(help="Settings (see `leadline config dump`).")] = None,
 ) -> None:
     """Locate the target in a dive: solutions.csv, a summary and a picture."""
@@ -142,7 +150,7 @@ def run(
         methods=(method.value,),
         model=model,
         boxes=boxes,
-        config=_config(config),
+        config=_config(config, provider),
         water_state=water_state,
         filtered=not no_filter,
         smoothed=smooth,
@@ -175,14 +183,14 @@ def detect(
     source: Annotated[Path, typer.Argument(metavar="INPUT", help="An image, a folder, a dive or a video.")],
     out: Annotated[Path, typer.Option(help="Folder for detections.json and the drawn images.")],
     model: Annotated[Path | None, typer.Option(help="Detector (ONNX); default: the shipped one for balls.")] = None,
+    provider: Annotated[ProviderName | None, typer.Option(help="What the detector runs on; default: cpu.")] = None,
     config: Annotated[Path | None, typer.Option(help="Settings (see `leadline config dump`).")] = None,
 ) -> None:
     """Find targets in images: detections.json (COCO results) and drawn images."""
     from leadline.evaluation.detect import detect_images  # noqa: PLC0415
     from leadline.recognition.detector import Detector  # noqa: PLC0415
 
-    c = _config(config).detector
-    detector = Detector(model, score=c.score, nms_iou=c.nms_iou, threads=c.threads)
+    detector = Detector(model, **_config(config, provider).detector.model_dump())
     with progress("detecting") as tick:
         report = detect_images(source, out, detector, tick)
     typer.echo(f"{report.detections} targets in {report.with_target} of {report.images} images: {report.results}")
@@ -206,10 +214,13 @@ def check(file: Annotated[Path, typer.Argument(help="Settings to look through.")
     typer.echo(f"{file}: good")
 
 
-def _config(file: Path | None) -> Config:
+def _config(file: Path | None, provider: ProviderName | None = None) -> Config:
     from leadline.config import Config  # noqa: PLC0415
 
-    return Config() if file is None else Config.load(file)
+    config = Config() if file is None else Config.load(file)
+    if provider is None:
+        return config
+    return config.model_copy(update={"detector": config.detector.model_copy(update={"provider": provider.value})})
 
 
 def _print_report(report: Report, *, detailed: bool) -> None:

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from leadline.errors import InputError
 
 Positive = Annotated[float, Field(gt=0)]
+Provider = Literal["cpu", "cuda", "tensorrt", "openvino"]
 
 
 class Section(BaseModel):
@@ -26,6 +27,10 @@ class DetectorConfig(Section):
     score: float = Field(default=0.3, ge=0, le=1, description="a box below this score is not a detection")
     nms_iou: float = Field(default=0.5, gt=0, le=1, description="of two boxes that overlap more, the better one stays")
     threads: int = Field(default=2, ge=1, description="threads of the ONNX runtime")
+    provider: Provider = Field(default="cpu", description="what it runs on; all but cpu need another ONNX runtime")
+    long_side_px: int | None = Field(
+        default=None, ge=32, description="of the network's input, for models of free size; none: the model's own"
+    )
 
 
 class PaperConfig(Section):

@@ -71,7 +71,7 @@ def build_job(
     rig = _rig(source, rig_file, water_state)
     require_size(rig, source)
     shape = _target(source, target)
-    finder = _finder(shape, model, boxes, config)
+    finder = _finder(shape, rig, model, boxes, config)
     return Job(
         source=source,
         rig=rig,
@@ -134,7 +134,7 @@ def _target(source: Source, text: str | None) -> Target:
     return Surface()
 
 
-def _finder(target: Target, model: Path | None, boxes: Path | None, config: Config) -> Finder | None:
+def _finder(target: Target, rig: Rig, model: Path | None, boxes: Path | None, config: Config) -> Finder | None:
     """Boxes or a model where given; the shipped ball and buoy detector, but for a hull or a pile: they are the view."""
     if boxes is not None:
         return Boxes(boxes)
@@ -142,8 +142,9 @@ def _finder(target: Target, model: Path | None, boxes: Path | None, config: Conf
         return None
     from leadline.recognition.detector import Detector  # noqa: PLC0415  not loaded where boxes are given
 
-    c = config.detector
-    return Detector(model, score=c.score, nms_iou=c.nms_iou, threads=c.threads)
+    detector = Detector(model, **config.detector.model_dump())
+    detector.warm_up(rig.left.width, rig.left.height)
+    return detector
 
 
 def _localizer(
