@@ -10,6 +10,7 @@ import contextlib
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,10 @@ import numpy as np
 from leadline.samples import Array, Detection
 
 IOUS = np.linspace(0.5, 0.95, 10)
+RECALLS = np.linspace(0, 1, 101)
 MOST_PER_IMAGE = 100
 CATEGORY = 1
+_NONE: Mapping[str, Sequence[tuple[float, float, float, float]]] = MappingProxyType({})
 
 Box = tuple[float, float, float, float]
 
@@ -35,21 +38,27 @@ class Pair:
 
 @dataclass(frozen=True, slots=True)
 class DetectionQuality:
-    """AP over IoU thresholds and the precision-recall curve at IoU 0.5.
+    """The precision-recall curves of a detector, and what it found.
 
-    ``ap`` (10,) at IoU 0.50, 0.55 ... 0.95, NaN without a true box. ``pairs``: one for each detection from the best
-    score down; ``precision``, ``recall``, ``score`` (K,) go with them and are those at that threshold. ``found_iou``
-    (T,): for each true box, image by image in order of name, the IoU of its match at IoU 0.5, or 0 where it was missed.
+    ``curves`` (10, 101): the best precision at a recall of at least 0, 0.01 ... 1 for IoU 0.50, 0.55 ... 0.95, NaN
+    without a true box. ``pairs``: one for each detection from the best score down; ``precision``, ``recall``, ``score``
+    (K,) go with them and are those at that threshold and IoU 0.5. ``found_iou`` (T,): for each true box, image by image
+    in order of name, the IoU of its match at IoU 0.5, or 0 where it was missed.
     """
 
     images: int
     truths: int
-    ap: Array
+    curves: Array
     precision: Array
     recall: Array
     score: Array
     found_iou: Array
     pairs: tuple[Pair, ...]
+
+    @property
+    def ap(self) -> Array:
+        """(10,) average precision at IoU 0.50, 0.55 ... 0.95."""
+        return np.asarray(self.curves.mean(axis=1))
 
     @property
     def ap50(self) -> float:
@@ -70,20 +79,27 @@ class DetectionQuality:
 
 
 def evaluate_detections(
-    found: Mapping[str, Sequence[Detection]], truth: Mapping[str, Sequence[Box]]
+    found: Mapping[str, Sequence[Detection]],
+    truth: Mapping[str, Sequence[Box]],
+    unsure: Mapping[str, Sequence[Box]] = _NONE,
 ) -> DetectionQuality:
-    """Compare detections with true boxes, both by image name; images without true boxes count as empty ones."""
+    """Compare detections with true boxes, both by image name; images without true boxes count as empty ones.
+
+    A detection that lies in an ``unsure`` box (maybe a target, or many) and on no true one is neither right nor false.
+    """
     names = sorted(truth)
-    evaluator = _evaluate([found.get(name, ()) for name in names], [truth[name] for name in names])
+    evaluator = _evaluate(
+        [found.get(n, ()) for n in names], [truth[n] for n in names], [unsure.get(n, ()) for n in names]
+    )
     count = sum(len(boxes) for boxes in truth.values())
-    ap = evaluator.eval["precision"][:, :, 0, 0, 0].mean(axis=1) if count else np.full(len(IOUS), np.nan)
+    curves = evaluator.eval["precision"][:, :, 0, 0, 0] if count else np.full((len(IOUS), len(RECALLS)), np.nan)
     pairs = _pairs(evaluator, names, found, truth)
     hits = np.cumsum([pair.truth is not None for pair in pairs])
     found_iou = {(pair.image, pair.truth): pair.iou for pair in pairs}
     return DetectionQuality(
         images=len(names),
         truths=count,
-        ap=np.asarray(ap, np.float64),
+        curves=np.asarray(curves, np.float64),
         precision=hits / np.arange(1, len(pairs) + 1),
         recall=hits / max(count, 1),
         score=np.array([pair.detection.score for pair in pairs], np.float64),
@@ -92,27 +108,34 @@ def evaluate_detections(
     )
 
 
-def _evaluate(found: Sequence[Sequence[Detection]], truth: Sequence[Sequence[Box]]) -> Any:
-    """pycocotools over images numbered from 0; boxes are numbered from 1, as it takes 0 for no match."""
+def _evaluate(
+    found: Sequence[Sequence[Detection]], truth: Sequence[Sequence[Box]], unsure: Sequence[Sequence[Box]]
+) -> Any:
+    """pycocotools over images numbered from 0; boxes are numbered from 1, the true ones first: 0 is no match to it."""
     from pycocotools.coco import COCO  # type: ignore[import-untyped]  # noqa: PLC0415
     from pycocotools.cocoeval import COCOeval  # type: ignore[import-untyped]  # noqa: PLC0415
 
-    def table(notes: list[dict[str, Any]]) -> Any:
+    def notes(boxes: Sequence[Sequence[Box]], **more: int) -> list[dict[str, Any]]:
+        return [
+            {"image_id": i, "category_id": CATEGORY, "bbox": list(b), "area": b[2] * b[3], **more}
+            for i, every in enumerate(boxes)
+            for b in every
+        ]
+
+    def table(annotations: list[dict[str, Any]]) -> Any:
         coco = COCO()
+        numbered = [{"id": k, **note} for k, note in enumerate(annotations, 1)]
         images = [{"id": number} for number in range(len(truth))]
-        notes = [{"id": k, "category_id": CATEGORY, "iscrowd": 0, **note} for k, note in enumerate(notes, 1)]
-        coco.dataset = {"images": images, "categories": [{"id": CATEGORY}], "annotations": notes}
+        coco.dataset = {"images": images, "categories": [{"id": CATEGORY}], "annotations": numbered}
         coco.createIndex()
         return coco
 
-    boxes = [{"image_id": i, "bbox": list(b), "area": b[2] * b[3]} for i, every in enumerate(truth) for b in every]
-    results = [
-        {"image_id": i, "bbox": list(d.box_px), "area": d.box_px[2] * d.box_px[3], "score": d.score}
-        for i, every in enumerate(found)
-        for d in every
-    ]
+    boxes = notes(truth, iscrowd=0) + notes(unsure, iscrowd=1)
+    scores = [d.score for every in found for d in every]
+    results = notes([[d.box_px for d in every] for every in found])
     with contextlib.redirect_stdout(io.StringIO()):  # it tells its steps there
-        evaluator = COCOeval(table(boxes), table(results), "bbox")
+        scored = [{**note, "score": score} for note, score in zip(results, scores, strict=True)]
+        evaluator = COCOeval(table(boxes), table(scored), "bbox")
         evaluator.params.iouThrs = IOUS
         evaluator.params.maxDets = [MOST_PER_IMAGE]
         evaluator.params.areaRng, evaluator.params.areaRngLbl = [[0, 1e10]], ["all"]
@@ -127,15 +150,18 @@ def _pairs(
     found: Mapping[str, Sequence[Detection]],
     truth: Mapping[str, Sequence[Box]],
 ) -> list[Pair]:
-    """Every detection with its match at IoU 0.5, the best score first."""
+    """Every detection that counts with its match at IoU 0.5, the best score first."""
     detections = [d for name in names for d in found.get(name, ())]
     number_in_image = [k for name in names for k in range(len(truth[name]))]
     pairs = []
     for one in filter(None, evaluator.evalImgs):
         image = one["image_id"]
         overlaps = evaluator.ious[image, CATEGORY]  # (detections, true boxes), empty where either is missing
-        for row, (which, match) in enumerate(zip(one["dtIds"], one["dtMatches"][0], strict=True)):
-            number = number_in_image[int(match) - 1] if match else None
+        for row, which in enumerate(one["dtIds"]):
+            if one["dtIgnore"][0][row]:
+                continue
+            match = int(one["dtMatches"][0][row])
+            number = number_in_image[match - 1] if match else None
             iou = 0.0 if number is None else float(overlaps[row][number])
             pairs.append(Pair(names[image], detections[which - 1], number, iou))
     return sorted(pairs, key=lambda pair: -pair.detection.score)
