@@ -46,10 +46,8 @@ class _Standing:
 class Health:
     """parts: those that are there (others join when they are first heard of). periods_s: of sensors, where known."""
 
-    def __init__(
-        self, parts: Iterable[Part] = (), now_ns: int = 0, periods_s: Mapping[Part, float] | None = None
-    ) -> None:
-        self._now_ns = now_ns
+    def __init__(self, parts: Iterable[Part] = (), periods_s: Mapping[Part, float] | None = None) -> None:
+        self._now_ns: int | None = None  # of the latest event
         self._periods_s = dict(periods_s or {})
         self._standings: dict[Part, _Standing] = {}
         self._paces: dict[Part, Pace] = {}
@@ -172,9 +170,9 @@ class Health:
     def _join(self, part: Part) -> None:
         if part in self._standings:
             return
-        self._standings[part] = _Standing(part, self._now_ns)
+        self._standings[part] = _Standing(part, self._now_ns or 0)
         if part in (*CAMERAS, Part.LASER):
-            self._paces[part] = Pace(self._now_ns, self._periods_s.get(part))
+            self._paces[part] = Pace(self._periods_s.get(part))
             self._join(Part.CLOCK)
 
     def _timing(self, name: str, parts: Sequence[Part], arrival_ns: int, t_ns: int) -> None:
@@ -185,13 +183,13 @@ class Health:
 
     def _judge(self, now_ns: int, heard: Sequence[Part]) -> None:
         """Look at all parts again: the silence of one is seen when another is heard."""
-        self._now_ns = max(self._now_ns, now_ns)
+        now_ns = self._now_ns = max(self._now_ns or now_ns, now_ns)
         clock = self._clock()
         changed = False
         for part, standing in self._standings.items():
-            verdict = clock if part is Part.CLOCK else self._verdict(part, clock)
+            verdict = clock if part is Part.CLOCK else self._verdict(part, clock, now_ns)
             fresh = part in heard or (part is Part.CLOCK and bool(heard))
-            if standing.judge(verdict, self._now_ns, fresh=fresh):
+            if standing.judge(verdict, now_ns, fresh=fresh):
                 changed = True
                 self.events.append(standing.condition)
                 if not standing.condition.ok:
@@ -199,17 +197,17 @@ class Health:
         if changed or len(self.conditions) != len(self._standings):
             self._publish()
 
-    def _verdict(self, part: Part, clock: Verdict) -> Verdict:
+    def _verdict(self, part: Part, clock: Verdict, now_ns: int) -> Verdict:
         if part in self._reported:
             return self._reported[part]
         if part in WORKERS:
-            return self._work[part].verdict(self._now_ns)
+            return self._work[part].verdict(now_ns)
         late = None if clock is not None else self._lags[self._sensor(part)].late() if self._heard(part) else None
         return (
-            self._paces[part].verdict(self._now_ns)
+            self._paces[part].verdict(now_ns)
             or self._content(part)
             or late
-            or self._contradictions.verdict(part, self._now_ns)
+            or self._contradictions.verdict(part, now_ns)
         )
 
     def _content(self, part: Part) -> Verdict:

@@ -26,8 +26,8 @@ WELL_AGAIN = 3  # hits in a row
 class Pace:
     """period_s: where it is known; else it is learnt from the first samples."""
 
-    def __init__(self, start_ns: int, period_s: float | None = None) -> None:
-        self._start_ns = start_ns
+    def __init__(self, period_s: float | None = None) -> None:
+        self._start_ns: int | None = None  # since when it is waited for
         self.period_s = period_s
         self._last: tuple[int, int] | None = None  # arrival, stamp
         self._intervals: deque[float] = deque(maxlen=LEARNT_AFTER)
@@ -51,6 +51,7 @@ class Pace:
 
     def verdict(self, now_ns: int) -> Verdict:
         if self._last is None:
+            self._start_ns = now_ns if self._start_ns is None else self._start_ns
             silent_s = (now_ns - self._start_ns) / NS_PER_S
             return (State.OFF, f"nothing has come for {silent_s:.0f} s") if silent_s > FIRST_S else None
         silent_s = (now_ns - self._last[0]) / NS_PER_S

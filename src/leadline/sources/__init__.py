@@ -1,4 +1,4 @@
-"""Where samples come from: a dive folder, a recording, a simulation."""
+"""Where samples come from: a dive folder, a recording, a simulation, live devices."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ from leadline.wire.notice import Notice, NoticeKind, count_notices
 
 __all__ = ["Notice", "NoticeKind", "Source", "count_notices", "frame_size", "open_source", "require_size"]
 
-_LIVE = ("uvc:", "serial:", "ros2:")
+LIVE = "live:"  # before a dive: as a live device gives it
+_WANTED = "give a dive folder, an .mcap file, sim:SCENARIO or a live source (uvc:0+serial:/dev/ttyUSB0?protocol=jrt)"
 
 
 def open_source(spec: str | Path, *, seed: int = 0, real_time: bool = False) -> Source:
-    """A dive folder, an ``.mcap`` recording or ``sim:SCENARIO`` as a source of samples in arrival order.
+    """A dive folder, an ``.mcap`` recording, ``sim:SCENARIO`` or live devices as a source of samples as they arrive.
 
     ``seed`` is the simulation's; with ``real_time`` samples come at their own pace, else as fast as they are taken.
+    ``live:`` before a dive gives it as devices would: its frames do not wait for whoever is too slow for them.
     Raises InputError where there is no such dive or nothing in it can be read.
     """
     text = str(spec)
@@ -24,10 +26,10 @@ def open_source(spec: str | Path, *, seed: int = 0, real_time: bool = False) -> 
         from leadline.sources.simulated import SimulatedSource  # noqa: PLC0415  the renderer is not needed for a replay
 
         return SimulatedSource(text.removeprefix("sim:"), seed=seed, real_time=real_time)
-    if text.startswith(_LIVE):
-        raise InputError(
-            "live sources come with live operation", text, "use a dive folder, an .mcap file or sim:SCENARIO"
-        )
+    if text.startswith((LIVE, "uvc:", "rtsp:", "serial:")):
+        return _open_live(text, seed)
+    if text.startswith("ros2:"):
+        raise InputError("no such live source yet", text, "use the ROS 2 nodes, or uvc:, rtsp:, serial:")
     path = _recording_inside(Path(spec))
     if path.is_dir():
         from leadline.sources.folder import FolderSource  # noqa: PLC0415
@@ -37,8 +39,19 @@ def open_source(spec: str | Path, *, seed: int = 0, real_time: bool = False) -> 
         from leadline.sources.mcap import McapSource  # noqa: PLC0415
 
         return McapSource(path, real_time=real_time)
-    what = "not a dive folder, an .mcap file or sim:SCENARIO" if path.exists() else "no such file or folder"
-    raise InputError(what, text, "give a dive folder, an .mcap file or sim:SCENARIO")
+    raise InputError("not a dive" if path.exists() else "no such file or folder", text, _WANTED)
+
+
+def _open_live(text: str, seed: int) -> Source:
+    from leadline.sources.address import makers  # noqa: PLC0415  devices are not needed for a replay
+    from leadline.sources.clock import LiveClock  # noqa: PLC0415
+    from leadline.sources.live import LiveSource  # noqa: PLC0415
+    from leadline.sources.replay import live_dive  # noqa: PLC0415
+
+    if text.startswith(LIVE):
+        return live_dive(open_source(text.removeprefix(LIVE), seed=seed))
+    clock = LiveClock()
+    return LiveSource(text, makers(text, clock), clock)
 
 
 def _recording_inside(path: Path) -> Path:

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from leadline.errors import InputError
 from leadline.samples import NS_PER_S, Sample, StereoFrame, Truth
 from leadline.sources.sync import arrival_ns, watch_order
-from leadline.wire.notice import Notice, NoticeKind
+from leadline.wire.notice import Notice, NoticeKind, count_notices
 
 if TYPE_CHECKING:
+    from leadline.health import Health
     from leadline.rig import Rig
+
+TOLD_AT_MOST = 10_000  # notices kept of one iteration: a live source may run for weeks; all are counted
 
 
 class Source(ABC):
@@ -21,8 +25,11 @@ class Source(ABC):
 
     ``rig`` and ``truth`` come with the dive where it has them; ``frame_count`` is for progress (None: not known);
     ``image_size`` is (width, height) of the frames where known before the first one. ``notices`` is complete when an
-    iteration has ended; a new iteration starts its list again.
+    iteration has ended; a new iteration starts its list again. ``health``, where it is set, is fed with every sample as
+    it comes, before anything is left out, and by a ``live`` source with what it knows of its devices.
     """
+
+    live: ClassVar[bool] = False  # devices: nothing can be read twice, and there is no end
 
     def __init__(
         self,
@@ -39,14 +46,24 @@ class Source(ABC):
         self.frame_count, self.image_size = frame_count, image_size
         self._standing = list(notices)  # found on opening: they hold for every iteration
         self._passing: list[Notice] = []
+        self._counts: Counter[str] = Counter()
         self._real_time = real_time
+        self.health: Health | None = None
 
     @abstractmethod
     def read(self) -> Iterator[Sample]:
         """The samples in arrival order, from the start; ``tell`` what had to be left out."""
 
+    def close(self) -> None:  # noqa: B027  most have nothing to let go of
+        """Let go of devices and files; safe to call twice."""
+
     def tell(self, kind: NoticeKind, where: str, why: str) -> None:
-        self._passing.append(Notice(kind, where, why))
+        self.note(Notice(kind, where, why))
+
+    def note(self, notice: Notice) -> None:
+        self._counts[str(notice.kind)] += 1
+        if len(self._passing) < TOLD_AT_MOST:
+            self._passing.append(notice)
 
     def fits(self, frame: StereoFrame, where: str) -> bool:
         """Whether the frame has the size of the dive's first one; told if not."""
@@ -60,10 +77,22 @@ class Source(ABC):
     def notices(self) -> list[Notice]:
         return self._standing + self._passing
 
+    @property
+    def notice_counts(self) -> dict[str, int]:
+        """How many of each kind; empty on clean data."""
+        return dict(Counter(count_notices(self._standing)) + self._counts)
+
     def __iter__(self) -> Iterator[Sample]:
         self._passing.clear()
-        samples = watch_order(self.read(), self.tell)
+        self._counts.clear()
+        samples = watch_order(self._watched(self.read()), self.tell)
         return _at_own_pace(samples) if self._real_time else samples
+
+    def _watched(self, samples: Iterator[Sample]) -> Iterator[Sample]:
+        for sample in samples:
+            if self.health is not None:
+                self.health.sample(sample)
+            yield sample
 
 
 def _at_own_pace(samples: Iterator[Sample]) -> Iterator[Sample]:

@@ -41,7 +41,7 @@ class McapSource(Source):
         )
 
     def read(self) -> Iterator[Sample]:
-        for sample in self._samples(self._passing.append):
+        for sample in self._samples(self.note):
             where = f"{self._path} frame at {format_stamp(sample.t_ns)} s"
             if not isinstance(sample, StereoFrame) or self.fits(sample, where):
                 yield sample

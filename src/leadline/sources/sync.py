@@ -16,6 +16,7 @@ from leadline.wire.stamps import format_stamp
 
 Tell = Callable[[NoticeKind, str, str], None]
 NAMES: dict[type, str] = {VehicleMotion: "motion", StereoFrame: "frame", LaserRange: "laser"}  # in order of turn
+REMEMBERED = 20_000  # stamps of each sensor: a live dive has no end
 _TURN = {kind: turn for turn, kind in enumerate(NAMES)}
 
 
@@ -35,7 +36,7 @@ def order_key(arrival: int, kind: type, t_ns: int) -> tuple[int, int, int]:
 
 def watch_order(samples: Iterator[Sample], tell: Tell) -> Iterator[Sample]:
     """Pass samples on as they come; drop and tell repeated ones, tell late ones."""
-    given: dict[type, set[int]] = {kind: set() for kind in NAMES}
+    given: dict[type, dict[int, None]] = {kind: {} for kind in NAMES}
     newest_ns: int | None = None
     for sample in samples:
         where = f"{NAMES[type(sample)]} at {format_stamp(sample.t_ns)} s"
@@ -43,7 +44,9 @@ def watch_order(samples: Iterator[Sample], tell: Tell) -> Iterator[Sample]:
         if sample.t_ns in stamps:
             tell(NoticeKind.REPEATED, where, "this sensor gave this stamp before")
             continue
-        stamps.add(sample.t_ns)
+        stamps[sample.t_ns] = None
+        if len(stamps) > REMEMBERED:
+            del stamps[next(iter(stamps))]
         if newest_ns is not None and sample.t_ns < newest_ns:
             tell(NoticeKind.LATE, where, f"came after a sample of {format_stamp(newest_ns)} s")
         newest_ns = sample.t_ns if newest_ns is None else max(newest_ns, sample.t_ns)

@@ -16,6 +16,7 @@ class NoticeKind(StrEnum):
     REORDERED = "reordered"  # a row that stood out of arrival order in its file; given in its place in time
     LATE = "late"  # arrived after a newer sample had been given; given all the same, the localizer looks at its stamp
     REPEATED = "repeated"  # the same sensor and the same stamp again; left out
+    LOST = "lost"  # a live device was lost, and is opened again
     TRUNCATED = "truncated"  # a recording whose end or a part is missing or damaged; the rest was read
 
 

@@ -1,0 +1,138 @@
+"""A rangefinder on a serial line (pyserial).
+
+A reading's stamp is when it was measured: the arrival of its piece, less the time that the line took for its bytes and
+those behind it, less the device's latency (``latency=``, seconds; a USB converter adds up to 16 ms of its own).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import ClassVar, Protocol
+
+from leadline.errors import InputError
+from leadline.health import Part
+from leadline.samples import NS_PER_S, LaserRange
+from leadline.sources.clock import LiveClock
+from leadline.sources.inbox import Item, Refused
+from leadline.sources.part import LivePart, Lost
+from leadline.wire.laser_protocol import Heard, LaserReading
+from leadline.wire.laser_protocols import PROTOCOLS, make_protocol
+
+BITS_PER_BYTE = 10  # 8 data bits, a start and a stop bit
+WAIT_S = 0.1
+SILENCE_S = 1.0  # then it is asked, or started, once more
+
+
+class Port(Protocol):
+    """What is used of ``serial.Serial``."""
+
+    @property
+    def in_waiting(self) -> int: ...
+    def read(self, size: int = 1) -> bytes: ...
+    def write(self, data: bytes, /) -> int | None: ...
+    def close(self) -> None: ...
+
+
+class SerialLaser(LivePart):
+    """port: /dev/ttyUSB0, COM3, or any URL of pyserial (socket://host:port). options: of the protocol."""
+
+    parts: ClassVar[tuple[Part, ...]] = (Part.LASER,)
+
+    def __init__(
+        self,
+        port: str,
+        clock: LiveClock,
+        *,
+        protocol: str,
+        baud: int | None = None,
+        latency_s: float | None = None,
+        options: Mapping[str, str] | None = None,
+        opener: Callable[[str, int], Port] | None = None,
+    ) -> None:
+        self.name = f"serial:{port}"
+        self._port_name, self._clock = port, clock
+        self._protocol = make_protocol(protocol, options)
+        self._baud = baud or PROTOCOLS[protocol].baud
+        self._latency_s = self._protocol.latency_s if latency_s is None else latency_s
+        self._opener = opener or _open_port
+        self._port: Port | None = None
+        self._spoken_ns = 0
+
+    def open(self) -> None:
+        self._protocol.reset()
+        try:
+            self._port = self._opener(self._port_name, self._baud)
+            self._send(self._protocol.start)
+            self._ask()
+        except (OSError, ValueError) as error:  # serial.SerialException is an OSError
+            raise Lost(f"cannot be opened: {_words(error)}") from error
+
+    def read(self) -> Sequence[Item]:
+        assert self._port is not None
+        try:
+            data = self._port.read(max(1, self._port.in_waiting))
+            arrival_ns = self._clock.now_ns()
+            heard = self._protocol.feed(data)
+            if heard and self._protocol.polled:
+                self._ask()
+            elif arrival_ns - self._spoken_ns > SILENCE_S * NS_PER_S:
+                self._wake(silent=not data)
+        except (OSError, TypeError) as error:  # pyserial raises TypeError where a port vanishes while it is read
+            raise Lost(f"unplugged: {_words(error)}") from error
+        if heard:
+            self._spoken_ns = arrival_ns
+        return [self._item(one, arrival_ns) for one in heard]
+
+    def close(self) -> None:
+        port, self._port = self._port, None
+        if port is None:
+            return
+        try:
+            port.write(self._protocol.stop)
+        except Exception:  # it may be gone already
+            pass
+        finally:
+            _close_quietly(port)
+
+    def _item(self, heard: Heard, arrival_ns: int) -> Item:
+        if not isinstance(heard, LaserReading):
+            return Refused(heard.why, heard.garbage, arrival_ns)
+        line_s = (heard.size + heard.behind) * BITS_PER_BYTE / self._baud
+        t_ns = arrival_ns - round((line_s + self._latency_s) * NS_PER_S)
+        return LaserRange(t_ns, heard.range_m, heard.quality, arrival_ns)
+
+    def _wake(self, *, silent: bool) -> None:
+        """An error may have ended the continuous mode, a lost answer the questions."""
+        if silent:
+            self._send(self._protocol.start)
+        self._ask()
+
+    def _ask(self) -> None:
+        if self._protocol.polled:
+            self._send(self._protocol.single)
+        self._spoken_ns = self._clock.now_ns()
+
+    def _send(self, data: bytes) -> None:
+        assert self._port is not None
+        if data:
+            self._port.write(data)
+
+
+def _open_port(name: str, baud: int) -> Port:
+    try:
+        import serial  # noqa: PLC0415  an extra
+    except ImportError:
+        raise InputError("a serial line needs pyserial", f"serial:{name}", "pip install 'leadline[live]'") from None
+    port: Port = serial.serial_for_url(name, baudrate=baud, timeout=WAIT_S, write_timeout=1.0)
+    return port
+
+
+def _close_quietly(port: Port) -> None:
+    try:
+        port.close()
+    except Exception:
+        return
+
+
+def _words(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
