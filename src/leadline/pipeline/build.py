@@ -10,11 +10,13 @@ from leadline.config import Config
 from leadline.errors import InputError
 from leadline.localizer import Localizer, SmoothingLocalizer
 from leadline.paper import PaperLocalizer
+from leadline.pipeline.watch import WatchedFinder
 from leadline.recognition.boxes import Boxes
 from leadline.recognition.finder import Finder
 from leadline.rig import Rig, shipped_rigs
 from leadline.samples import Detection, Sample, Solution
 from leadline.sources import Source, open_source, require_size
+from leadline.sources.live import LiveSource
 from leadline.sources.simulated import SimulatedSource
 from leadline.target import Cylinder, Plane, Sphere, Surface, Target, parse_target
 from leadline.water import Water, WaterState
@@ -44,6 +46,7 @@ class Job:
     methods: dict[str, Steps]
     seed: int
     filtered: bool = True
+    detector: WatchedFinder | None = None
 
 
 def build_job(
@@ -72,14 +75,16 @@ def build_job(
     require_size(rig, source)
     shape = _target(source, target)
     finder = _finder(shape, rig, model, boxes, config)
+    watched = None if finder is None else WatchedFinder(finder, live=source.live)
     return Job(
         source=source,
         rig=rig,
         target=shape,
         config=config,
-        methods={name: _localizer(name, rig, shape, finder, config, filtered, smoothed) for name in methods},
+        methods={name: _localizer(name, rig, shape, watched, config, filtered, smoothed) for name in methods},
         seed=seed,
         filtered=filtered,
+        detector=watched,
     )
 
 
@@ -121,6 +126,7 @@ def _target(source: Source, text: str | None) -> Target:
             return parse_target(text)
         except ValueError as error:
             raise InputError(str(error), "--target") from error
+    source = (source.of or source) if isinstance(source, LiveSource) else source
     if not isinstance(source, SimulatedSource):
         return Surface()
     part = source.dive.scenario.target

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,10 +18,12 @@ from leadline.evaluation.summary import accuracy, pixel_cost_m, rates, step_time
 from leadline.localizer import SmoothingLocalizer
 from leadline.pipeline import folder
 from leadline.pipeline.build import Job, Steps
+from leadline.pipeline.watch import Watch
 from leadline.rig import Rig
 from leadline.samples import Array, LaserRange, Sample, Solution, StereoFrame
 from leadline.sinks import McapSink, Sink, SolutionsCsv
-from leadline.sources import count_notices, frame_size
+from leadline.sources import Source, frame_size
+from leadline.sources.live import LiveSource
 
 NOTICES_KEPT = 100
 Progress = Callable[[int, int | None], None]  # frames done, frames in all (None: not known)
@@ -33,7 +35,8 @@ class Track:
 
     name: str
     localizer: Steps
-    sinks: list[Sink]
+    sinks: Sequence[Sink]
+    watch: Watch | None = None  # of the main one
     solutions: list[Solution] = field(default_factory=list)
     steps_s: list[float] = field(default_factory=list)
 
@@ -44,12 +47,16 @@ class Track:
         solution = self.localizer.step(sample)
         if isinstance(sample, StereoFrame):
             self.steps_s.append(time.perf_counter() - start_s)
+            if self.watch is not None:
+                self.watch.found(sample, self.localizer.detections)
             for sink in self.sinks:
                 sink.detections(sample, self.localizer.detections)
         if solution is not None:
             self.solutions.append(solution)
             for sink in self.sinks:
                 sink.solution(solution)
+            if self.watch is not None:
+                self.watch.solved(solution)
 
 
 @dataclass(slots=True, eq=False)
@@ -80,11 +87,14 @@ def run(job: Job, out: Path, *, record: bool = False, progress: Progress = lambd
     job.rig.save(out / folder.RIG)
     start_s = time.perf_counter()
     with ExitStack() as stack:
-        tracks = _tracks(job, out, record, stack)
+        stack.callback(job.source.close)
+        watch = Watch(job.source, job.rig, job.detector)
+        tracks = _tracks(job, out, record, stack, watch)
         passed = _drive(job, tracks, progress)
     wall_s = time.perf_counter() - start_s
     errors = {track.name: compare(track.solutions, job.source.truth, job.target) for track in tracks}
     summary = _summary(job, tracks, passed, errors, wall_s)
+    summary["health"] = watch.health.summary()
     if isinstance(tracks[0].localizer, SmoothingLocalizer):
         smoothed = _write_smoothed(tracks[0].localizer, out / folder.SMOOTHED)
         summary["smoothed"] = {"accuracy": accuracy(compare(smoothed, job.source.truth, job.target))}
@@ -94,7 +104,7 @@ def run(job: Job, out: Path, *, record: bool = False, progress: Progress = lambd
     return Report(out, summary, errors, [path for path in written if path.exists()])
 
 
-def _tracks(job: Job, out: Path, record: bool, stack: ExitStack) -> list[Track]:
+def _tracks(job: Job, out: Path, record: bool, stack: ExitStack, watch: Watch) -> list[Track]:
     tracks = []
     for number, (name, localizer) in enumerate(job.methods.items()):
         main = number == 0
@@ -103,7 +113,7 @@ def _tracks(job: Job, out: Path, record: bool, stack: ExitStack) -> list[Track]:
         if main and record:
             sinks.append(McapSink(out / folder.RECORDING, job.rig, job.source.truth))
             stack.callback(sinks[1].close)
-        tracks.append(Track(name, localizer, sinks))
+        tracks.append(Track(name, localizer, [watch.outlet(sink) for sink in sinks], watch if main else None))
     return tracks
 
 
@@ -159,12 +169,13 @@ def _summary(job: Job, tracks: list[Track], passed: Passed, errors: dict[str, Er
         "target": job.target.name,
         "filtered": job.filtered,
         "seed": job.seed,
+        "live": _live(job.source),
         "interrupted": passed.interrupted,
         "frames": len(passed.frames_ns),
         "readings": len(passed.readings_ns),
         **summarise(main.solutions),
         "agreement": main.localizer.notices,
-        "notices": {"counts": count_notices(notices), "first": [str(notice) for notice in notices[:NOTICES_KEPT]]},
+        "notices": {"counts": job.source.notice_counts, "first": [str(notice) for notice in notices[:NOTICES_KEPT]]},
         "frame_rate_hz": rates(passed.frames_ns),
         "reading_rate_hz": rates(passed.readings_ns),
         "wall_s": wall_s,
@@ -184,6 +195,11 @@ def _summary(job: Job, tracks: list[Track], passed: Passed, errors: dict[str, Er
             for track in tracks[1:]
         }
     return summary
+
+
+def _live(source: Source) -> dict[str, int] | None:
+    """Frames that overload cost, and how often a device was opened again; None for a recorded dive."""
+    return {"dropped": source.dropped, "restarts": source.restarts} if isinstance(source, LiveSource) else None
 
 
 def _pixel_cost(rig: Rig, solutions: list[Solution]) -> dict[str, float] | None:

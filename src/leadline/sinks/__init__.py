@@ -1,7 +1,7 @@
 """Where a run goes: tables and recordings."""
 
-from leadline.sinks.base import Sink
+from leadline.sinks.base import HealthSink, Sink
 from leadline.sinks.csv import SolutionsCsv
 from leadline.sinks.mcap import McapSink
 
-__all__ = ["McapSink", "Sink", "SolutionsCsv"]
+__all__ = ["HealthSink", "McapSink", "Sink", "SolutionsCsv"]

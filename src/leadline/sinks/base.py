@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
+from leadline.health import Condition
 from leadline.samples import Detection, Sample, Solution, StereoFrame
 
 
 class Sink(Protocol):
+    """A sink may say in an attribute ``part`` whose health its own work is; without it, that of the output."""
+
     def sample(self, sample: Sample) -> None:
         """Every sample, before the localizer sees it."""
 
@@ -20,3 +23,11 @@ class Sink(Protocol):
 
     def close(self) -> None:
         """Finish the file; safe to call twice."""
+
+
+@runtime_checkable
+class HealthSink(Protocol):
+    """A sink that also takes the health of all parts."""
+
+    def health(self, conditions: Sequence[Condition], now_ns: int) -> None:
+        """Whenever one has changed and once a second, even while no sample comes (live)."""

@@ -5,13 +5,17 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from pathlib import Path
+from typing import ClassVar
 
+from leadline.health import Part
 from leadline.samples import Detection, Sample, Solution, StereoFrame
 from leadline.wire.solutions import HEADER, solution_row
 
 
 class SolutionsCsv:
     """Each row is on its way to the disk when ``solution`` returns: a killed run keeps what it had."""
+
+    part: ClassVar[Part] = Part.DISK
 
     def __init__(self, path: Path | str) -> None:
         path = Path(path)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import ClassVar
 
+from leadline.health import Part
 from leadline.rig import Rig
 from leadline.samples import Detection, LaserRange, Sample, Solution, StereoFrame, Truth, VehicleMotion
 from leadline.wire import ros2_definitions as topics
@@ -17,6 +19,8 @@ from leadline.wire.truth import truth_text
 
 class McapSink:
     """Replaying the file gives the same samples, bit for bit. Each frame goes to the disk as it is written."""
+
+    part: ClassVar[Part] = Part.DISK
 
     def __init__(self, path: Path | str, rig: Rig | None = None, truth: Sequence[Truth] = ()) -> None:
         attachments = []

@@ -11,7 +11,7 @@ from leadline.wire.notice import Notice, NoticeKind, count_notices
 __all__ = ["Notice", "NoticeKind", "Source", "count_notices", "frame_size", "open_source", "require_size"]
 
 LIVE = "live:"  # before a dive: as a live device gives it
-_WANTED = "give a dive folder, an .mcap file, sim:SCENARIO or a live source (uvc:0+serial:/dev/ttyUSB0?protocol=jrt)"
+_WANTED = "give a dive folder, an .mcap file, sim:SCENARIO or a live source (uvc:0+serial:/dev/ttyUSB0)"
 
 
 def open_source(spec: str | Path, *, seed: int = 0, real_time: bool = False) -> Source:
@@ -29,7 +29,7 @@ def open_source(spec: str | Path, *, seed: int = 0, real_time: bool = False) -> 
     if text.startswith((LIVE, "uvc:", "rtsp:", "serial:")):
         return _open_live(text, seed)
     if text.startswith("ros2:"):
-        raise InputError("no such live source yet", text, "use the ROS 2 nodes, or uvc:, rtsp:, serial:")
+        raise InputError("no such live source yet", text, _WANTED)
     path = _recording_inside(Path(spec))
     if path.is_dir():
         from leadline.sources.folder import FolderSource  # noqa: PLC0415

@@ -1,7 +1,7 @@
 """Live addresses: ``uvc:0+serial:/dev/ttyUSB0?protocol=jrt&baud=115200``, ``uvc:0,1``, ``rtsp://camera/stereo#fps=25``.
 
 Parts are joined by ``+``. Options stand after ``?`` and are joined by ``&``; after ``#`` in a stream's URL, which may
-have a ``?`` of its own.
+have a ``?`` of its own. A laser's protocol that is not said is found by trying.
 """
 
 from __future__ import annotations
@@ -41,19 +41,16 @@ def makers(text: str, clock: LiveClock) -> list[Callable[[], LivePart]]:
 
 
 def _laser(rest: str, clock: LiveClock, where: str) -> Callable[[], LivePart]:
-    from leadline.sources.laser_serial import SerialLaser  # noqa: PLC0415
+    from leadline.sources.laser_serial import Guess, SerialLaser  # noqa: PLC0415
 
     port, options = _options(rest, "?", where)
     own = {key: options.pop(key) for key in LASER_OPTIONS if key in options}
-    if "protocol" not in own:
-        raise InputError(
-            "which protocol does the laser speak?", where, "add ?protocol=jrt (or m703a, dimetix, text...)"
-        )
     if not port:
         raise InputError("no port", where, "give one: serial:/dev/ttyUSB0?protocol=jrt")
     baud = _number(own, "baud", int, where)
     latency_s = _number(own, "latency", float, where)
-    return lambda: SerialLaser(port, clock, protocol=own["protocol"], baud=baud, latency_s=latency_s, options=options)
+    protocol = own.get("protocol") or Guess()
+    return lambda: SerialLaser(port, clock, protocol=protocol, baud=baud, latency_s=latency_s, options=options)
 
 
 def _camera(scheme: str, rest: str, clock: LiveClock, where: str) -> Callable[[], LivePart]:

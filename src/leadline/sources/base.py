@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 from leadline.errors import InputError
@@ -49,6 +49,8 @@ class Source(ABC):
         self._counts: Counter[str] = Counter()
         self._real_time = real_time
         self.health: Health | None = None
+        self.idle: Callable[[], None] | None = None  # called about ten times a second while nothing comes (live)
+        self._now_ns = 0
 
     @abstractmethod
     def read(self) -> Iterator[Sample]:
@@ -56,6 +58,11 @@ class Source(ABC):
 
     def close(self) -> None:  # noqa: B027  most have nothing to let go of
         """Let go of devices and files; safe to call twice."""
+
+    @property
+    def now_ns(self) -> int:
+        """The dive's own time: when the last sample arrived."""
+        return self._now_ns
 
     def tell(self, kind: NoticeKind, where: str, why: str) -> None:
         self.note(Notice(kind, where, why))
@@ -85,11 +92,13 @@ class Source(ABC):
     def __iter__(self) -> Iterator[Sample]:
         self._passing.clear()
         self._counts.clear()
+        self._now_ns = 0
         samples = watch_order(self._watched(self.read()), self.tell)
         return _at_own_pace(samples) if self._real_time else samples
 
     def _watched(self, samples: Iterator[Sample]) -> Iterator[Sample]:
         for sample in samples:
+            self._now_ns = max(self._now_ns, arrival_ns(sample))
             if self.health is not None:
                 self.health.sample(sample)
             yield sample

@@ -7,6 +7,7 @@ those behind it, less the device's latency (``latency=``, seconds; a USB convert
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import cycle
 from typing import ClassVar, Protocol
 
 from leadline.errors import InputError
@@ -21,6 +22,7 @@ from leadline.wire.laser_protocols import PROTOCOLS, make_protocol
 BITS_PER_BYTE = 10  # 8 data bits, a start and a stop bit
 WAIT_S = 0.1
 SILENCE_S = 1.0  # then it is asked, or started, once more
+PATIENCE_S = 2.5  # so long a protocol that is only guessed may go without a reading
 
 
 class Port(Protocol):
@@ -33,6 +35,18 @@ class Port(Protocol):
     def close(self) -> None: ...
 
 
+class Guess:
+    """A device whose protocol the user has not said: one after the other, until one gives a reading."""
+
+    def __init__(self) -> None:
+        self._names = cycle(name for name in PROTOCOLS if name != "text")  # text would read a number into anything
+        self.name = next(self._names)
+        self.sure = False
+
+    def wrong(self) -> None:
+        self.name = next(self._names)
+
+
 class SerialLaser(LivePart):
     """port: /dev/ttyUSB0, COM3, or any URL of pyserial (socket://host:port). options: of the protocol."""
 
@@ -43,7 +57,7 @@ class SerialLaser(LivePart):
         port: str,
         clock: LiveClock,
         *,
-        protocol: str,
+        protocol: str | Guess,
         baud: int | None = None,
         latency_s: float | None = None,
         options: Mapping[str, str] | None = None,
@@ -51,15 +65,18 @@ class SerialLaser(LivePart):
     ) -> None:
         self.name = f"serial:{port}"
         self._port_name, self._clock = port, clock
-        self._protocol = make_protocol(protocol, options)
-        self._baud = baud or PROTOCOLS[protocol].baud
+        self._guess = protocol if isinstance(protocol, Guess) else None
+        name = protocol.name if isinstance(protocol, Guess) else protocol
+        self._protocol = make_protocol(name, options)
+        self._baud = baud or self._protocol.baud
         self._latency_s = self._protocol.latency_s if latency_s is None else latency_s
         self._opener = opener or _open_port
         self._port: Port | None = None
-        self._spoken_ns = 0
+        self._spoken_ns = self._opened_ns = 0
 
     def open(self) -> None:
         self._protocol.reset()
+        self._opened_ns = self._clock.now_ns()
         try:
             self._port = self._opener(self._port_name, self._baud)
             self._send(self._protocol.start)
@@ -81,6 +98,7 @@ class SerialLaser(LivePart):
             raise Lost(f"unplugged: {_words(error)}") from error
         if heard:
             self._spoken_ns = arrival_ns
+        self._reconsider(heard, arrival_ns)
         return [self._item(one, arrival_ns) for one in heard]
 
     def close(self) -> None:
@@ -100,6 +118,16 @@ class SerialLaser(LivePart):
         line_s = (heard.size + heard.behind) * BITS_PER_BYTE / self._baud
         t_ns = arrival_ns - round((line_s + self._latency_s) * NS_PER_S)
         return LaserRange(t_ns, heard.range_m, heard.quality, arrival_ns)
+
+    def _reconsider(self, heard: Sequence[Heard], now_ns: int) -> None:
+        guess = self._guess
+        if guess is None or guess.sure:
+            return
+        if any(isinstance(one, LaserReading) for one in heard):
+            guess.sure = True
+        elif now_ns - self._opened_ns > PATIENCE_S * NS_PER_S:
+            guess.wrong()
+            raise Lost(f"no reading as {self._protocol.name} at {self._baud} baud: trying {guess.name}")
 
     def _wake(self, *, silent: bool) -> None:
         """An error may have ended the continuous mode, a lost answer the questions."""

@@ -45,6 +45,10 @@ class LiveSource(Source):
     def restarts(self) -> int:
         return sum(supervisor.restarts for supervisor in self._supervisors)
 
+    @property
+    def now_ns(self) -> int:
+        return self.clock.now_ns()
+
     def read(self) -> Iterator[Sample]:
         self._inbox = Inbox(self._frames)
         self._supervisors = [Supervisor(make, self._inbox, self.clock) for make in self._makers]
@@ -58,6 +62,8 @@ class LiveSource(Source):
                 if item is None:
                     if all(supervisor.finished for supervisor in self._supervisors):
                         return
+                    if self.idle is not None:
+                        self.idle()
                 elif (sample := self._sort(item)) is not None:
                     yield sample
         finally:

@@ -1,0 +1,139 @@
+"""The health of a run: what the loop tells it of the detector, the disk and the outputs, and whom it is told to."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from leadline.errors import InputError
+from leadline.health import Condition, Health, Part, State
+from leadline.recognition.finder import Finder
+from leadline.rig import Rig
+from leadline.samples import NS_PER_S, Detection, Sample, Solution, Status, StereoFrame
+from leadline.sinks import HealthSink, Sink
+from leadline.sources import Source
+
+TOLD_EVERY_S = 1.0
+IN_VIEW = 0.1  # a target must be this far from the image's edge (part of its size) to be missed by the detector
+DETECTED_WITHIN_M = (0.7, 3.0)  # nearer it fills the view, farther it may be too small
+
+
+class WatchedFinder:
+    """A detector, timed. live: an error of its is told and counts as no detection; the dive goes on without it."""
+
+    def __init__(self, finder: Finder, *, live: bool) -> None:
+        self._finder, self._live = finder, live
+        self.took_s = 0.0
+        self.error = ""
+
+    def find(self, frame: StereoFrame) -> list[Detection]:
+        start_s = time.perf_counter()
+        self.error = ""
+        try:
+            return self._finder.find(frame)
+        except Exception as error:
+            if not self._live:
+                raise
+            self.error = f"{type(error).__name__}: {error}"
+            return []
+        finally:
+            self.took_s = time.perf_counter() - start_s
+
+
+class Outlet:
+    """A sink whose work is watched. live: an error of its (a full disk) is told, and the dive goes on without it."""
+
+    def __init__(self, sink: Sink, health: Health, now_ns: Callable[[], int], *, live: bool) -> None:
+        self._sink, self._health, self._now_ns, self._live = sink, health, now_ns, live
+        self._part: Part = getattr(sink, "part", Part.OUTPUT)
+        self._took_s = 0.0  # for one sample and what followed it
+
+    def sample(self, sample: Sample) -> None:
+        self._do(lambda: self._sink.sample(sample))
+
+    def detections(self, frame: StereoFrame, detections: Sequence[Detection]) -> None:
+        self._do(lambda: self._sink.detections(frame, detections))
+
+    def solution(self, solution: Solution) -> None:
+        if self._do(lambda: self._sink.solution(solution)):
+            self._health.done(self._part, self._now_ns(), self._took_s)
+        self._took_s = 0.0
+
+    def health(self, conditions: Sequence[Condition], now_ns: int) -> None:
+        if isinstance(self._sink, HealthSink):
+            self._sink.health(conditions, now_ns)
+
+    def close(self) -> None:
+        self._sink.close()
+
+    def _do(self, work: Callable[[], None]) -> bool:
+        """Whether it went well."""
+        start_s = time.perf_counter()
+        try:
+            work()
+        except InputError:
+            raise
+        except Exception as error:
+            if not self._live:
+                raise
+            why = f"{error}" if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
+            self._health.done(self._part, self._now_ns(), time.perf_counter() - start_s, (State.OFF, why))
+            return False
+        self._took_s += time.perf_counter() - start_s
+        return True
+
+
+class Watch:
+    """Feeds a run's health and tells it to the sinks that take it."""
+
+    def __init__(self, source: Source, rig: Rig, finder: WatchedFinder | None) -> None:
+        self.health = Health()
+        self._source, self._rig, self._finder = source, rig, finder
+        self._outlets: list[Outlet] = []
+        self._told: tuple[tuple[Condition, ...], int] = (), 0
+        self._last: Solution | None = None
+        source.health = self.health
+        source.idle = self.tell
+
+    def outlet(self, sink: Sink) -> Outlet:
+        outlet = Outlet(sink, self.health, lambda: self._source.now_ns, live=self._source.live)
+        self._outlets.append(outlet)
+        return outlet
+
+    def found(self, frame: StereoFrame, detections: Sequence[Detection]) -> None:
+        """What the detector answered for a frame."""
+        if self._finder is None:
+            return
+        now_ns = self._source.now_ns
+        if self._finder.error:
+            self.health.done(Part.DETECTOR, now_ns, self._finder.took_s, (State.OFF, self._finder.error))
+            return
+        self.health.found(frame, detections, now_ns, self._finder.took_s, self._expected_px(frame))
+
+    def solved(self, solution: Solution) -> None:
+        self._last = solution
+        self.health.solved(solution, self._source.now_ns)
+        self.tell()
+
+    def tell(self) -> None:
+        """To the sinks: what has changed, and all of it once a second."""
+        now_ns, conditions = self._source.now_ns, self.health.conditions
+        if conditions is self._told[0] and now_ns - self._told[1] < TOLD_EVERY_S * NS_PER_S:
+            return
+        self._told = conditions, now_ns
+        for outlet in self._outlets:
+            outlet.health(conditions, now_ns)
+
+    def _expected_px(self, frame: StereoFrame) -> tuple[float, float] | None:
+        """Where the target is in the left image, if it is so well in view that a detector must see it."""
+        last = self._last
+        if last is None or last.position_m is None or last.range_m is None or last.status is not Status.VALID:
+            return None
+        if not DETECTED_WITHIN_M[0] < last.range_m < DETECTED_WITHIN_M[1]:
+            return None
+        x, y = self._rig.project(last.position_m[None])[0][0]
+        height, width = frame.left.shape[:2]
+        inside = IN_VIEW * width < x < (1 - IN_VIEW) * width and IN_VIEW * height < y < (1 - IN_VIEW) * height
+        return (float(x), float(y)) if inside and np.isfinite(x + y) else None
