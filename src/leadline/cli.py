@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from leadline import cli_calibrate, cli_evaluate, cli_plan
+from leadline import cli_calibrate, cli_dataset, cli_evaluate, cli_plan, cli_train
 from leadline.cli_progress import progress
 from leadline.errors import InputError
 
@@ -36,6 +36,8 @@ app.add_typer(cli_calibrate.app, name="calibrate")
 app.add_typer(cli_evaluate.app, name="evaluate")
 app.command("board")(cli_calibrate.board)
 app.command("plan")(cli_plan.plan)
+app.command("train")(cli_train.train)
+app.command("dataset")(cli_dataset.dataset)
 
 
 class MethodName(StrEnum):

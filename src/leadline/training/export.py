@@ -19,8 +19,6 @@ def export_onnx(network: Network, path: Path, names: Sequence[str], long_side: i
     H and W are free multiples of 32; the metadata hold the long side it is meant for (`imgsz`), `names`, `stride` and
     ``about`` (author, licence, data ...). The keys are those that Ultralytics' exports use, so that tools find them.
     """
-    import onnx  # noqa: PLC0415  (the extra `train`)
-
     model = Exported(network).eval()
     with warnings.catch_warnings():
         # The tracing exporter is deprecated, but its successor does not take sizes that are multiples of a stride.
@@ -35,7 +33,6 @@ def export_onnx(network: Network, path: Path, names: Sequence[str], long_side: i
             opset_version=OPSET,
             dynamo=False,
         )
-    graph = onnx.load(str(path))
     entries = {
         "names": str(dict(enumerate(names))),
         "imgsz": str([long_side, long_side]),
@@ -43,6 +40,17 @@ def export_onnx(network: Network, path: Path, names: Sequence[str], long_side: i
         "task": "detect",
         **about,
     }
-    onnx.helper.set_model_props(graph, entries)
+    add_metadata(path, entries)
+
+
+def add_metadata(path: Path, entries: dict[str, str]) -> None:
+    """Put ``entries`` beside those that the model already has; the file is replaced whole."""
+    import onnx  # noqa: PLC0415  (the extra `train`)
+
+    graph = onnx.load(str(path))
+    there = {entry.key: entry.value for entry in graph.metadata_props}
+    onnx.helper.set_model_props(graph, there | entries)
     onnx.checker.check_model(graph)
-    onnx.save(graph, str(path))
+    beside = path.with_suffix(".writing")
+    onnx.save(graph, str(beside))
+    beside.replace(path)

@@ -6,6 +6,7 @@ import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import cv2
 import numpy as np
@@ -69,6 +70,61 @@ def _shrunk(example: Example) -> tuple[bytes, float]:
     return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes(), scale
 
 
+class Trainer:
+    """A network in training, a step at a time. Its whole state can be saved and put back: the steps that follow are
+    the same, bit for bit, on the same machine with the same number of threads."""
+
+    def __init__(
+        self, pools: Sequence[Pool], classes: int = 1, settings: Settings | None = None, start: Network | None = None
+    ) -> None:
+        self.settings = settings or Settings()
+        torch.set_num_threads(self.settings.threads)
+        torch.manual_seed(self.settings.seed)
+        self._pools = pools
+        self._rng = np.random.default_rng(self.settings.seed)
+        self.network: Network = copy.deepcopy(start) if start else Network(classes)
+        self.network.train().to(memory_format=torch.channels_last)
+        self.average: Network = copy.deepcopy(self.network).eval()  # what is tested and exported
+        groups = _groups(self.network, self.settings.weight_decay)
+        self._optimiser = torch.optim.AdamW(groups, lr=self.settings.learning_rate)
+        self.steps = 0
+
+    def step(self, place: float | None = None) -> float:
+        """Learn from one batch; its loss. ``place``: where in the schedule of ``settings.steps`` this is, in steps."""
+        settings = self.settings
+        place = self.steps if place is None else place
+        for group in self._optimiser.param_groups:
+            group["lr"] = settings.learning_rate * _pace(place, settings)
+        plain = place >= settings.steps * (1 - settings.plain_end)
+        images, boxes, names = draw_batch(self._rng, self._pools, settings, plain=plain)
+        logits, predicted = self.network(images)
+        loss = detection_loss(logits, predicted, _cells(images), boxes, names)
+        self._optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 10.0)
+        self._optimiser.step()
+        _follow(self.average, self.network, min(settings.average, (1 + self.steps) / (20 + self.steps)))
+        self.steps += 1
+        return float(loss.detach())
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the next step depends on, but the pictures."""
+        return {
+            "network": self.network.state_dict(),
+            "average": self.average.state_dict(),
+            "optimiser": self._optimiser.state_dict(),
+            "rng": self._rng.bit_generator.state,
+            "steps": self.steps,
+        }
+
+    def load(self, state: dict[str, Any]) -> None:
+        self.network.load_state_dict(state["network"])
+        self.average.load_state_dict(state["average"])
+        self._optimiser.load_state_dict(state["optimiser"])
+        self._rng.bit_generator.state = state["rng"]
+        self.steps = state["steps"]
+
+
 def train(
     pools: Sequence[Pool],
     classes: int = 1,
@@ -77,31 +133,13 @@ def train(
     start: Network | None = None,
 ) -> Network:
     """Train a network on pictures drawn from ``pools``; deterministic for a seed on the same machine."""
-    settings = settings or Settings()
-    torch.set_num_threads(settings.threads)
-    torch.manual_seed(settings.seed)
-    rng = np.random.default_rng(settings.seed)
-    network = copy.deepcopy(start) if start else Network(classes)
-    network.train().to(memory_format=torch.channels_last)
-    average = copy.deepcopy(network)
-    optimiser = torch.optim.AdamW(_groups(network, settings.weight_decay), lr=settings.learning_rate)
-    for step in range(settings.steps):
-        for group in optimiser.param_groups:
-            group["lr"] = settings.learning_rate * _pace(step, settings)
-        images, boxes, names = draw_batch(rng, pools, settings, plain=step >= settings.steps * (1 - settings.plain_end))
-        logits, predicted = network(images)
-        loss = detection_loss(logits, predicted, _cells(images), boxes, names)
-        optimiser.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), 10.0)
-        optimiser.step()
-        _follow(average, network, min(settings.average, (1 + step) / (20 + step)))
-        progress(step, float(loss.detach()))
-    average.eval()
-    return average
+    trainer = Trainer(pools, classes, settings, start)
+    for step in range(trainer.settings.steps):
+        progress(step, trainer.step())
+    return trainer.average
 
 
-def _pace(step: int, settings: Settings) -> float:
+def _pace(step: float, settings: Settings) -> float:
     """Learning rate's factor: linear warm-up, then a cosine to 2 %."""
     if step < settings.warm_up:
         return (step + 1) / settings.warm_up
