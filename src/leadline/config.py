@@ -33,6 +33,14 @@ class DetectorConfig(Section):
     )
 
 
+class TrackConfig(Section):
+    """Which detection is the target, from frame to frame."""
+
+    reach: Positive = Field(default=0.6, description="a detection this far from where it is expected goes on, in sizes")
+    least_reach_px: float = Field(default=16.0, ge=0, description="but never less than this")
+    hold_s: float = Field(default=1.0, ge=0, description="so long it is looked for where it must be, without any")
+
+
 class PaperConfig(Section):
     """What the paper leaves open (`--method paper`); reasons in docs/paper-method.md."""
 
@@ -115,13 +123,24 @@ class StatusConfig(Section):
     laser_bias_m: float = Field(0.0005, ge=0, description="laser error that no averaging removes")
 
 
+class GuidanceConfig(Section):
+    """What a pilot is told (page, ROS 2, MAVLink)."""
+
+    standoff_m: Positive = Field(0.5, description="where the approach shall end; the time until then is told")
+    safety_m: float = Field(0.2, ge=0, description="an alarm is given when the target may be nearer than this")
+    reach_m: Positive = Field(0.63, description="the manipulator's envelope, from the camera")
+    accuracy_m: Positive = Field(0.1, description="two sigmas of the position that the work allows")
+
+
 class Config(Section):
     detector: DetectorConfig = DetectorConfig()
+    track: TrackConfig = TrackConfig()
     stereo: StereoConfig = StereoConfig()
     outline: OutlineConfig = OutlineConfig()
     beam: BeamConfig = BeamConfig()
     filter: FilterConfig = FilterConfig()
     status: StatusConfig = StatusConfig()
+    guidance: GuidanceConfig = GuidanceConfig()
     paper: PaperConfig = PaperConfig()
 
     @classmethod

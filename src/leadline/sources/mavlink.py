@@ -1,0 +1,46 @@
+"""The vehicle's own motion, from its autopilot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+from leadline.geometry.pose import Pose
+from leadline.health import Part
+from leadline.sources.clock import LiveClock
+from leadline.sources.inbox import Item
+from leadline.sources.part import LivePart, Lost
+from leadline.wire.mavlink import MavlinkLink, MotionReader
+
+WAIT_S = 0.2
+
+
+class MavlinkMotion(LivePart):
+    """url: as for ``--mavlink``. T_body_left: where the camera sits on the vehicle."""
+
+    parts: ClassVar[tuple[Part, ...]] = ()
+
+    def __init__(self, url: str, clock: LiveClock, T_body_left: Pose) -> None:
+        self.name = f"mavlink:{url}"
+        self._clock, self._reader, self._link = clock, MotionReader(T_body_left), MavlinkLink(url)
+
+    def open(self) -> None:
+        try:
+            self._link.open()
+        except OSError as error:
+            raise Lost(f"cannot be opened: {error}") from error
+
+    def read(self) -> Sequence[Item]:
+        try:
+            self._link.wait(WAIT_S)
+            messages = self._link.receive()
+        except OSError as error:
+            raise Lost(f"gone: {error}") from error
+        now_ns = self._clock.now_ns()
+        return [motion for message in messages if (motion := self._reader.read(message, now_ns)) is not None]
+
+    def close(self) -> None:
+        try:
+            self._link.close()
+        except OSError:
+            return
