@@ -5,6 +5,8 @@ The errors are common to all frames: they do not average out, and a filter must 
 
 from __future__ import annotations
 
+from bisect import bisect_left
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -14,6 +16,7 @@ from leadline.samples import Array
 
 NEAREST_M, FARTHEST_M, DEPTHS = 0.05, 20.0, 20
 ACROSS = 13  # nodes over the field, each way
+CORNERS = np.array([(a * ACROSS + b) * ACROSS + c for a in (0, 1) for b in (0, 1) for c in (0, 1)])  # of a cell
 
 
 def position_cov(rig: Rig, point_m: ArrayLike) -> Array:
@@ -33,7 +36,7 @@ def beam_cov(rig: Rig, raw_m: float) -> Array:
 
 
 class CalibrationError:
-    """``position_cov`` from a table over the field of view, for use in every frame (some 50 us a point)."""
+    """``position_cov`` from a table over the field of view, for use in every frame."""
 
     def __init__(self, rig: Rig) -> None:
         names = _stereo_names(rig)
@@ -45,22 +48,24 @@ class CalibrationError:
         points = np.stack([x * z, y * z, z], axis=-1).reshape(-1, 3)
         table = point_sensitivity(rig, points, names) @ self._root if names else np.zeros((len(points), 3, 0))
         # Divided by the depth, an error of scale or of disparity is linear in z: interpolation is exact for both.
-        self._table = (table / points[:, 2, None, None]).reshape(*z.shape, 3, -1)
-        self._known = np.isfinite(self._table).all(axis=(-1, -2))
+        self._table = (table / points[:, 2, None, None]).reshape(len(points), -1)
+        self._known = np.isfinite(self._table).all(axis=1)
         self._table[~self._known] = 0.0
+        self._plain = [axis.tolist() for axis in self._axes]  # one place at a time: Python's numbers are faster
 
     def at(self, point_m: ArrayLike) -> Array:
         """(3, 3) m^2, left frame, for a point (3,) before the cameras; beyond the field, that of the nearest place."""
-        p = np.asarray(point_m, dtype=np.float64)
-        depth = max(float(p[2]), NEAREST_M)
-        places = zip(self._axes, (depth, p[0] / depth, p[1] / depth), strict=True)
-        (i, along_z), (j, along_x), (k, along_y) = (_cell(axis, value) for axis, value in places)
-        cell = np.s_[i : i + 2, j : j + 2, k : k + 2]
-        weights = along_z[:, None, None] * along_x[:, None] * along_y * self._known[cell]
+        x, y, z = (float(v) for v in np.asarray(point_m))
+        depth = max(z, NEAREST_M)
+        (i, far), (j, right), (k, below) = map(_cell, self._plain, (depth, x / depth, y / depth))
+        nodes = ((i * ACROSS + j) * ACROSS + k) + CORNERS
+        weights = self._known[nodes] * [
+            a * b * c for a in (1 - far, far) for b in (1 - right, right) for c in (1 - below, below)
+        ]
         total = float(weights.sum())
         if total == 0:
             return np.full((3, 3), np.nan)
-        factor = np.tensordot(weights, self._table[cell], 3) * (depth / total)
+        factor = (weights * (depth / total) @ self._table[nodes]).reshape(3, -1)
         return np.asarray(factor @ factor.T)
 
 
@@ -81,8 +86,7 @@ def _field(rig: Rig) -> tuple[tuple[float, float], tuple[float, float]]:
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
 
 
-def _cell(axis: Array, value: float) -> tuple[int, Array]:
-    """The interval of an axis that holds a value, and the weights (2,) of its ends; the outermost hold beyond."""
-    low = min(max(int(np.searchsorted(axis, value)) - 1, 0), len(axis) - 2)
-    part = min(max((value - axis[low]) / (axis[low + 1] - axis[low]), 0.0), 1.0)
-    return low, np.array([1 - part, part])
+def _cell(axis: list[float], value: float) -> tuple[int, float]:
+    """The interval of an axis that holds a value, and how far along it is; the outermost hold beyond."""
+    low = min(max(bisect_left(axis, value) - 1, 0), len(axis) - 2)
+    return low, min(max((value - axis[low]) / (axis[low + 1] - axis[low]), 0.0), 1.0)

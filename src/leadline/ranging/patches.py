@@ -30,6 +30,7 @@ MAX_RUN_PX = 2.0  # from the search, which cannot be wrong by more
 MAX_SLANT_PX = 4.0
 ROUNDED, UNLIKE = 1 / 12, 0.02  # least residual: whole grey levels; interpolation, as a part of the texture
 LEVEL = 0.1  # of the epipolar direction: below it the derivative across it is left out, an instrument need not be exact
+_FIRST = np.eye(3, 1, dtype=np.float32)
 _NUDGE = np.float32(1e-3) * np.eye(3, dtype=np.float32)
 
 
@@ -132,14 +133,17 @@ def search(left: Float32, right: Float32, warp: Warp, reach_px: float) -> Found:
     shifts = np.arange(-np.ceil(reach_px), np.ceil(reach_px) + 1)
     p = np.zeros((len(template), len(shifts), 3))
     p[:, :, 0] = shifts
-    sampled = linear(_blurred(right), *_Places(warp, warp.half, step).at(p))
-    table = (_normalised(sampled).reshape(len(template), len(shifts), -1) @ template[:, :, None])[:, :, 0]
+    flat = _blurred(right)
+    flat -= flat.mean()  # so that sums of squares keep their digits
+    sampled = linear(flat, *_Places(warp, warp.half, step).at(p))
+    power = _dots(sampled, sampled) - np.einsum("nw->n", sampled) ** 2 / np.float32(sampled.shape[1])
+    table = (sampled.reshape(len(template), len(shifts), -1) @ template[:, :, None])[:, :, 0]
+    table /= np.sqrt(np.maximum(power, 0) + np.float32(1e-6)).reshape(table.shape)
     fraction, height = _peaks(table)
     rows, best = np.arange(len(table)), height.argmax(axis=1)
     score = height[rows, best]
-    beside = np.abs(np.arange(len(shifts)) - best[:, None]) <= 1
-    second = np.where(beside, -1, height).max(axis=1)
-    repeated = second > np.maximum(score - 0.5 * (1 - score) - 0.05, ALIKE)
+    height[np.abs(np.arange(len(shifts)) - best[:, None]) <= 1] = -1
+    repeated = height.max(axis=1) > np.maximum(score - 0.5 * (1 - score) - 0.05, ALIKE)
     return Found(shifts[best] + fraction[rows, best], score, repeated)
 
 
@@ -148,27 +152,27 @@ def _peaks(table: Float32) -> tuple[Float32, Float32]:
 
     An end that is higher than its neighbour is taken for a peak.
     """
-    wide = np.pad(table, ((0, 0), (1, 1)), mode="edge")
-    low, mid, high = wide[:, :-2], table, wide[:, 2:]
-    bow = np.minimum(low - 2 * mid + high, np.float32(-1e-6))
-    peak = (mid >= low) & (mid >= high)
-    fraction = np.clip(0.5 * (low - high) / bow, -0.5, 0.5)
+    wide = np.concatenate([table[:, :1], table, table[:, -1:]], axis=1)
+    low, high = wide[:, :-2], wide[:, 2:]
+    bow = np.minimum(low - 2 * table + high, np.float32(-1e-6))
+    peak = (table >= low) & (table >= high)
+    fraction = np.minimum(np.maximum(0.5 * (low - high) / bow, -0.5), 0.5)
     fraction[:, [0, -1]] = 0
-    return fraction, np.where(peak, mid - 0.25 * (low - high) * fraction, np.float32(-1))
+    return fraction, np.where(peak, table - 0.25 * (low - high) * fraction, np.float32(-1))
 
 
 def _blurred(image: Float32) -> Float32:
     return np.asarray(cv2.GaussianBlur(image, (3, 3), 0.8), np.float32)
 
 
-def _centred(patches: Float32) -> Float32:
-    """(N, W) less their means; a sum by einsum takes a third of the time of ``mean``."""
-    return np.asarray(patches - (np.einsum("nw->n", patches) / np.float32(patches.shape[1]))[:, None], np.float32)
+def _dots(a: Float32, b: Float32) -> Float32:
+    """(N,) products of rows (N, W); a sum by ``sum`` takes three times as long."""
+    return np.asarray(np.einsum("nw,nw->n", a, b))
 
 
 def _normalised(patches: Float32) -> Float32:
-    centred = _centred(patches)
-    centred /= np.sqrt(np.einsum("nw,nw->n", centred, centred) + 1e-6)[:, None]
+    centred = patches - patches.mean(axis=1, keepdims=True)
+    centred /= np.sqrt(_dots(centred, centred) + 1e-6)[:, None]
     return np.asarray(centred, np.float32)
 
 
@@ -182,38 +186,65 @@ def _windows(image: Float32, warp: Warp, room: int) -> Float32:
     return np.asarray(views[rows, columns])
 
 
-def _slope(windows: Float32, back: Float32) -> Float32:
-    """Derivative (N, W) by the shift, of windows (N, S, S) with a room of one pixel."""
-    slope = (windows[:, 1:-1, 2:] - windows[:, 1:-1, :-2]) * (0.5 * back[:, 0])[:, None, None]
-    if np.abs(back[:, 1]).max(initial=0.0) > LEVEL:
-        slope += (windows[:, 2:, 1:-1] - windows[:, :-2, 1:-1]) * (0.5 * back[:, 1])[:, None, None]
-    return np.asarray(slope.reshape(len(windows), -1))
+@dataclass(frozen=True, slots=True)
+class _Weights:
+    """Of a patch's pixels (W,), which stand in one row with a border of one pixel around them that counts for nothing.
 
+    So neighbours in the image are neighbours in the row, or a row's width apart, and sums are products of matrices.
+    """
 
-@cache
-def _slants(half: int) -> Float32:
-    """(W, 3) how a patch's pixels move by a shift of one, and a slant of one in each direction at its edge."""
-    dx, dy = offsets(half)
-    return np.stack([np.ones_like(dx), dx / half, dy / half], axis=1)
+    side: int
+    inner: Float32  # (W,) one, and zero in the border
+    slants: Float32  # (W, 3) how pixels move by a shift of one, and a slant of one in each direction at the edge
+    products: Float32  # (W, 9) of these
+    ninths: Float32  # (W, 9) each of nine parts
 
+    @classmethod
+    @cache
+    def of(cls, half: int) -> _Weights:
+        dx, dy = offsets(half + 1)
+        inner = (np.maximum(np.abs(dx), np.abs(dy)) <= half).astype(np.float32)
+        slants = np.stack([inner, inner * dx / half, inner * dy / half], axis=1)
+        third = [np.clip((t + half) * 3 // (2 * half + 1), 0, 2) for t in (dx, dy)]
+        ninths = inner[:, None] * ((3 * third[1] + third[0])[:, None] == np.arange(9))
+        products = (slants[:, :, None] * slants[:, None]).reshape(-1, 9)
+        return cls(2 * half + 3, inner, slants, products, ninths.astype(np.float32))
 
-@cache
-def _slant_products(half: int) -> Float32:
-    """(W, 9)"""
-    slants = _slants(half)
-    return np.asarray((slants[:, :, None] * slants[:, None]).reshape(-1, 9))
+    @property
+    def count(self) -> np.float32:
+        return np.float32((self.side - 2) ** 2)
 
+    def centred(self, patches: Float32) -> Float32:
+        """(N, W) less their means, zero in the border."""
+        flat = patches - (patches @ self.inner / self.count)[:, None]
+        flat *= self.inner
+        return np.asarray(flat, np.float32)
 
-@cache
-def _ninths(side: int) -> Float32:
-    """(W, 9) that sums a patch's pixels over each of nine parts."""
-    part = np.arange(side) * 3 // side
-    return np.asarray((part[:, None] * 3 + part).ravel()[:, None] == np.arange(9), np.float32)
+    def across(self, patches: Float32) -> Float32:
+        """Twice the derivative along rows (N, W), for all but the border."""
+        return self._difference(patches, 1)
+
+    def down(self, patches: Float32) -> Float32:
+        return self._difference(patches, self.side)
+
+    @staticmethod
+    def _difference(patches: Float32, by: int) -> Float32:
+        difference = np.empty_like(patches)
+        difference[:, :by] = difference[:, -by:] = 0.0
+        np.subtract(patches[:, 2 * by :], patches[:, : -2 * by], out=difference[:, by:-by])
+        return difference
+
+    def power(self, patches: Float32) -> Float32:
+        """Variances (N,), by every third pixel, which is in every column."""
+        third, inner = np.ascontiguousarray(patches[:, ::3]), self.inner[::3]
+        count = inner.sum()
+        third -= (third @ inner / count)[:, None]
+        return np.asarray((third * third) @ inner / count)
 
 
 def _back(warp: Warp) -> Float32:
     """(N, 2) left pixels for a pixel along the curve in the right image."""
-    (a, b), (c, d), (u, v) = warp.bend[:, 0, :2].T, warp.bend[:, 1, :2].T, warp.along.T
+    ((a, c), (b, d)), (u, v) = warp.bend[:, :, :2].T, warp.along.T
     return np.asarray(np.stack([d * u - b * v, a * v - c * u], axis=1) / (a * d - b * c)[:, None], np.float32)
 
 
@@ -225,74 +256,79 @@ class _Templates:
     """
 
     def __init__(self, left: Float32, warp: Warp) -> None:
-        self.half, count = warp.half, len(warp.centre_px)
-        windows = _windows(left, warp, 0)
-        grey = windows.reshape(count, -1)
+        self.weights = weights = _Weights.of(warp.half)
+        grey, smooth = (_windows(image, warp, 1).reshape(len(warp.centre_px), -1) for image in (left, _blurred(left)))
         self.clipped = np.count_nonzero((grey > 250) | (grey < 2), axis=1) / grey.shape[1]
-        self.grey = _centred(grey)
-        self.energy = np.einsum("nw,nw->n", self.grey, self.grey) + np.float32(1e-6)
-        self.back = _back(warp)
-        smooth = _windows(_blurred(left), warp, 1)
-        self.slope = _slope(smooth, self.back)
-        self.grain = _grain(smooth)
-        self._mean = self.slope @ _slants(self.half) / np.float32(grey.shape[1])
-        self._part = ((self.slope * self.grey) @ _slants(self.half)) / self.energy[:, None]
+        self.grey = weights.centred(grey)
+        self.energy = _dots(self.grey, self.grey) + np.float32(1e-6)
+        self._back = 0.5 * _back(warp)
+        self._is_level = np.abs(self._back[:, 1]).max(initial=0.0) <= LEVEL / 2
+        across, down = weights.across(smooth), weights.down(smooth)
+        self.grain = _grain(*(weights.power(v) for v in (smooth, across, down)))
+        self.slope = self._along(across, down)
+        self.slope *= weights.inner
+        self._mean = self.slope @ weights.slants / weights.count
+        self._part = ((self.slope * self.grey) @ weights.slants) / self.energy[:, None]
         self.spread = self.response(self.slope)
 
-    def pull(self, grey: Float32) -> Float32:
-        """(N, 3) instruments times patches (N, W) of zero mean."""
-        along = np.einsum("nw,nw->n", self.grey, grey)
-        return np.asarray((self.slope * grey) @ _slants(self.half) - self._part * along[:, None])
+    def slope_of(self, patches: Float32) -> Float32:
+        """Derivative (N, W) by the shift, of patches (N, W); in the border anything."""
+        return self._along(self.weights.across(patches), None if self._is_level else self.weights.down(patches))
+
+    def _along(self, across: Float32, down: Float32 | None) -> Float32:
+        slope = across * self._back[:, :1]
+        if down is not None and not self._is_level:
+            slope += down * self._back[:, 1:]
+        return slope
+
+    def pull(self, patches: Float32) -> Float32:
+        """(N, 3) instruments times patches (N, W)."""
+        slants = self.weights.slants
+        sums, along = patches @ slants[:, :1], _dots(self.grey, patches)[:, None]
+        return np.asarray((self.slope * patches) @ slants - self._mean * sums - self._part * along)
 
     def response(self, slope: Float32) -> Float32:
         """(N, 3, 3) instruments times patches' derivatives by shift and slants, from their slope (N, W)."""
-        whole = ((self.slope * slope) @ _slant_products(self.half)).reshape(-1, 3, 3)
-        sums, along = slope @ _slants(self.half), (self.grey * slope) @ _slants(self.half)
-        return np.asarray(whole - self._mean[:, :, None] * sums[:, None] - self._part[:, :, None] * along[:, None])
+        whole = ((self.slope * slope) @ self.weights.products).reshape(-1, 3, 3)
+        sums, along = slope @ self.weights.slants, (self.grey * slope) @ self.weights.slants
+        whole -= self._mean[:, :, None] * sums[:, None]
+        whole -= self._part[:, :, None] * along[:, None]
+        return np.asarray(whole)
+
+    def residual(self, patches: Float32, slope: Float32, step: Array) -> tuple[Float32, Float32]:
+        """What is left (N, W) of patches after a last step (N, 3), and their gain (N, 1) over the left ones."""
+        gain = np.minimum(np.maximum(_dots(patches, self.grey) / self.energy, 0.2), 5.0)[:, None]
+        left = slope * (step.astype(np.float32) @ self.weights.slants.T)
+        left += self.weights.centred(patches)
+        left /= gain
+        left -= self.grey
+        return left, gain
 
 
-def _grain(windows: Float32) -> Float32:
+def _grain(texture: Float32, across: Float32, down: Float32) -> Float32:
     """Pixels (N,) over which a patch's texture is all of one piece: the area of its correlation's square.
 
-    For a Gaussian correlation, which bends as the mean square of the slopes says; in every second row.
+    For a Gaussian correlation, which bends as the mean square of the slopes (here of twice them) says.
     """
-    rows = windows[:, 1:-1:2]
-    across, down = rows[:, :, 2:] - rows[:, :, :-2], windows[:, 2::2] - windows[:, :-2:2]
-    power = [np.einsum("nij,nij->n", v, v) / np.float32(4 * v[0].size) for v in (across, down)]
-    return np.asarray(np.pi * rows.var(axis=(1, 2)) / np.sqrt(power[0] * power[1] + np.float32(1e-6)))
-
-
-@dataclass(frozen=True, slots=True)
-class _Sampled:
-    """The right patches at some shift and slant, W pixels: grey (N, W) of zero mean, and their derivative by shift."""
-
-    grey: Float32
-    slope: Float32
-
-    @classmethod
-    def of(cls, windows: Float32, back: Float32) -> _Sampled:
-        """From windows (N, S, S) with a room of one pixel."""
-        return cls(_centred(windows[:, 1:-1, 1:-1].reshape(len(windows), -1)), _slope(windows, back))
+    return np.asarray(4 * np.pi * texture / np.sqrt(across * down + np.float32(1e-6)))
 
 
 def refine(left: Float32, right: Float32, warp: Warp, start_px: Array, limits: Limits | None = None) -> Matches:
     """Sub-pixel shifts from shifts good to a pixel or so, with the sigma that noise and texture imply."""
     if not len(start_px):
         return Matches(np.empty(0), np.empty(0), np.empty(0), np.empty(0, np.int8))
-    templates, places = _Templates(left, warp), _Places(warp, warp.half + 1, larger=2)
-    fine, side = doubled(right), 2 * warp.half + 3
+    templates, places, fine = _Templates(left, warp), _Places(warp, warp.half + 1, larger=2), doubled(right)
     p = np.concatenate([start_px[:, None], np.zeros((len(start_px), 2))], axis=1)
     for taken in range(STEPS):
         x, y = places.at(p[:, None])
-        sampled = _Sampled.of(linear(fine, x, y).reshape(-1, side, side), templates.back)
-        response = templates.response(sampled.slope)
-        step = _step(response, templates.pull(sampled.grey))
+        sampled = linear(fine, x, y)
+        slope = templates.slope_of(sampled)
+        response = templates.response(slope)
+        step = _step(response, templates.pull(sampled))
         p = p + step
         if taken and _mostly_within(step, CLOSE_PX):
             break
-    gain = np.clip(np.einsum("nw,nw->n", sampled.grey, templates.grey) / templates.energy, 0.2, 5.0)[:, None]
-    residual = (sampled.grey + sampled.slope * (step.astype(np.float32) @ _slants(warp.half).T)) / gain
-    residual -= templates.grey
+    residual, gain = templates.residual(sampled, slope, step)
     response /= gain[:, :, None]
     lost = (np.abs(p[:, 0] - start_px) > MAX_RUN_PX) | (np.abs(step[:, 0]) > CLOSE_PX)
     outside = _outside(x, y, fine)
@@ -312,7 +348,7 @@ def _outside(x: Float32, y: Float32, image: Float32) -> NDArray[np.bool_]:
 def _step(response: Float32, pull: Float32) -> Array:
     """(N, 3) towards where the instruments pull no more."""
     step = np.linalg.solve(_regular(response), pull[:, :, None])[:, :, 0]
-    return np.asarray(np.clip(-step, -MAX_STEP_PX, MAX_STEP_PX), np.float64)
+    return np.asarray(np.minimum(np.maximum(-step, -MAX_STEP_PX), MAX_STEP_PX), np.float64)
 
 
 def _mostly_within(step: Array, limit_px: float) -> bool:
@@ -345,16 +381,16 @@ def _judge(
     limits: Limits,
 ) -> Matches:
     """Sigma of the shift by the sandwich rule, and the verdict."""
-    width = residual.shape[1]
-    variance = np.einsum("nw,nw->n", residual, residual) / (width - 5)
+    width = template.weights.count
+    variance = _dots(residual, residual) / (width - 5)
     dense = 2 / (1 + thinned)  # the noise at the low frequencies that matter, over that of a pixel
     noise = variance * dense
     spread = template.spread
     smooth = ~(response[:, 0, 0] > limits.signal * spread[:, 0, 0])
-    inverse = np.linalg.inv(_regular(np.where(smooth[:, None, None], np.eye(3, dtype=np.float32), response)))
-    sigma = np.sqrt(noise * np.einsum("ni,nij,nj->n", inverse[:, 0], spread, inverse[:, 0]).clip(0))
+    first = np.linalg.solve(_regular(response).transpose(0, 2, 1), _FIRST)  # row of the inverse
+    sigma = np.sqrt(np.maximum(noise * (first.transpose(0, 2, 1) @ spread @ first)[:, 0, 0], 0))
     texture = template.energy / width
-    correlation = np.sqrt(np.clip(1 - variance / (texture + variance), 0, 1))
+    correlation = np.sqrt(np.maximum(1 - variance / (texture + variance), 0))
     verdict = np.zeros(len(p), np.int8)
     chance = (1 - np.minimum(correlation, 0.9999) ** 2) ** (0.5 * np.maximum(width / (template.grain + 0.1) - 2, 0))
     for kind, wrong in (
@@ -376,9 +412,9 @@ def _parts(template: _Templates, residual: Float32, dense: Array) -> Array:
     Where something covers a part of the patch in one of the images, that part pulls and the others hold against it.
     The noise is that of the middle one of the parts: what covers the others does not add to it.
     """
-    ninths = _ninths(2 * template.half + 1)
+    ninths = template.weights.ninths
     pull, scale = (template.slope * residual) @ ninths, (template.slope**2) @ ninths
     power = np.partition((residual * residual) @ ninths / ninths.sum(axis=0), 4, axis=1)[:, 4]
     noise = power * dense
-    noise += ROUNDED + UNLIKE**2 * template.energy / np.float32(residual.shape[1])
+    noise += ROUNDED + UNLIKE**2 * template.energy / template.weights.count
     return np.asarray((np.abs(pull) / np.sqrt(scale * noise[:, None] + np.float32(1e-9))).max(axis=1), float)
