@@ -159,10 +159,9 @@ class StereoRanger:
 
     def _reach(self, rig: Rig, prior: Prior, level: int) -> float:
         """Pixels, at the level, that three sigma of the predicted range are worth."""
-        distance, _ = self._target.range(prior.x)
-        ends = np.array([[0, 0, distance], [0, 0, distance + 3 * prior.range_sigma_m]])
-        moved = np.ptp(rig.project_one(ends, "right")[:, 0]) / 2**level
-        return float(np.clip(moved, NEXT_REACH_PX, MOST_REACH_PX))
+        near = max(self._target.range(prior.x)[0], NEAREST_M)
+        moved = rig.focal_outside_px * rig.baseline_m * (1 / near - 1 / (near + 3 * prior.range_sigma_m)) / 2**level
+        return min(max(moved, NEXT_REACH_PX), MOST_REACH_PX)
 
     def _left(self, pair: Pair, box: Box, level: int) -> Region:
         low, size = np.array(box[:2]), np.array(box[2:])
@@ -223,7 +222,7 @@ class StereoRanger:
         good = matches.verdict == Verdict.MATCHED
         shift_px = matches.shift_px[good]
         points = triangulated(pair.rig, expected.pick(alike).pick(good), level, shift_px, matches.sigma_px[good])
-        return _Round(points, float(np.median(np.abs(shift_px))) if len(shift_px) else 0.0, verdict)
+        return _Round(points, float(np.sort(np.abs(shift_px))[len(shift_px) // 2]) if len(shift_px) else 0.0, verdict)
 
 
 def _why(verdict: Array) -> str:
