@@ -6,7 +6,7 @@ from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from leadline.health.content import Pictures, Ranges
+from leadline.health.content import Pictures, Ranges, Scene
 from leadline.health.lag import LATE_S, Lag
 from leadline.health.pace import Pace
 from leadline.health.sight import Boxes, Contradictions
@@ -53,7 +53,7 @@ class Health:
         self._paces: dict[Part, Pace] = {}
         self._lags: dict[str, Lag] = {}
         self._pictures = {part: Pictures() for part in CAMERAS}
-        self._ranges = Ranges()
+        self._ranges, self._scene = Ranges(), Scene()
         self._work = {part: Work() for part in WORKERS}
         self._boxes, self._contradictions = Boxes(), Contradictions()
         self._reported: dict[Part, tuple[State, str]] = {}
@@ -77,10 +77,11 @@ class Health:
             self._timing("camera", CAMERAS, arrival_ns, sample.t_ns)
             self._pictures[Part.LEFT].look(sample.left)
             self._pictures[Part.RIGHT].look(sample.right)
+            self._scene.look(sample.t_ns, sample.left)
             self._judge(now_ns, CAMERAS)
             return
         self._timing("laser", (Part.LASER,), arrival_ns, sample.t_ns)
-        self._ranges.read(sample)
+        self._ranges.read(sample, moving=self._scene.moving)
         self._judge(now_ns, (Part.LASER,))
 
     def skipped(self, parts: Sequence[Part], t_ns: int, now_ns: int) -> None:
@@ -138,7 +139,6 @@ class Health:
         """The computer's own clock against one that cannot be set (now_ns), about ten times a second."""
         self._join(Part.CLOCK)
         self._lags.setdefault("wall", Lag()).add(now_ns, wall_ns)
-        self._judge(now_ns, ())
 
     def tick(self, now_ns: int) -> None:
         """Time passes and nothing has come."""

@@ -61,7 +61,7 @@ class Source(ABC):
 
     @property
     def now_ns(self) -> int:
-        """The dive's own time: when the last sample arrived."""
+        """The dive's own time: when the last sample arrived; later only while a live source has nothing to give."""
         return self._now_ns
 
     def tell(self, kind: NoticeKind, where: str, why: str) -> None:

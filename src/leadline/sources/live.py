@@ -45,10 +45,6 @@ class LiveSource(Source):
     def restarts(self) -> int:
         return sum(supervisor.restarts for supervisor in self._supervisors)
 
-    @property
-    def now_ns(self) -> int:
-        return self.clock.now_ns()
-
     def read(self) -> Iterator[Sample]:
         self._inbox = Inbox(self._frames)
         self._supervisors = [Supervisor(make, self._inbox, self.clock) for make in self._makers]
@@ -58,13 +54,12 @@ class LiveSource(Source):
         try:
             while self._wanted:
                 item = self._inbox.get(TICK_S)
+                if item is None and all(supervisor.finished for supervisor in self._supervisors):
+                    return
                 self._look_around(idle=item is None)
-                if item is None:
-                    if all(supervisor.finished for supervisor in self._supervisors):
-                        return
-                    if self.idle is not None:
-                        self.idle()
-                elif (sample := self._sort(item)) is not None:
+                if item is None and self.idle is not None:
+                    self.idle()
+                elif item is not None and (sample := self._sort(item)) is not None:
                     yield sample
         finally:
             self.close()
@@ -112,6 +107,7 @@ class LiveSource(Source):
         for t_ns, arrival_ns in self._inbox.skipped():
             self.health.skipped(CAMERAS, t_ns, arrival_ns)
         if idle:
+            self._now_ns = max(self._now_ns, now_ns)  # all that had come is taken
             self.health.tick(now_ns)
         if self.of is None and now_ns - self._wall_ns > WALL_S * NS_PER_S:
             self._wall_ns = now_ns
