@@ -107,9 +107,11 @@ class _Shown:
 
     def epoch(self, epoch: Epoch) -> None:
         quality = epoch.quality
+        left_min = epoch.seconds / 60 / epoch.number * (self._epochs - epoch.number)
         typer.echo(
             f"epoch {epoch.number}/{self._epochs}  loss {epoch.loss:.3f}  val AP50 {quality.ap50:.3f}  "
-            f"AP50-95 {quality.ap50_95:.3f}{'  best' if epoch.best else ''}  {epoch.seconds / 60:.1f} min"
+            f"AP50-95 {quality.ap50_95:.3f}{'  best' if epoch.best else ''}  "
+            f"{epoch.seconds / 60:.1f} min, at most {left_min:.0f} more"
         )
 
 

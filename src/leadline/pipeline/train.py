@@ -63,6 +63,8 @@ def plan_training(
     """Read the set and split it. InputError for a set that cannot be used, or where ``out`` holds something else."""
     if out.resolve().is_relative_to(path.resolve()):
         raise InputError("lies within the set", str(out), "give another folder to --out")
+    engine = open_engine(settings.engine)
+    engine.check()
     data = read_dataset(path, classes, clips, progress)
     split = split_by_clip(data.examples, settings.seed)
     record = {
@@ -76,7 +78,7 @@ def plan_training(
         "split_sha256": hashlib.sha256(_split_table(split).encode()).hexdigest(),
     }
     resumes = _resumes(out, record)
-    return Plan(data, split, settings, open_engine(settings.engine), out, record, resumes)
+    return Plan(data, split, settings, engine, out, record, resumes)
 
 
 def train(

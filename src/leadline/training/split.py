@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from leadline.errors import InputError
-from leadline.training.dataset import UNSURE, Example, Ints
+from leadline.training.dataset import UNSURE, Example, Floats, Ints
 from leadline.training.formats import natural_key
 
 SHARE = 0.1  # of validation and of test; the rest is for training: the paper's 8:1:1
-TOLERANCE = 0.06  # validation and test may be so much larger or smaller before clips are cut
+LEAST, MOST = 0.04, 0.2  # what validation and test may have before clips are cut
 TRIALS = 400
 LEAST_IMAGES = 10
 
@@ -72,9 +72,9 @@ def _drawn(clips: Clips, wanted: tuple[str, ...], seed: int) -> Split:
     given = {name: len(them) for name, them in clips.items()}
     while True:
         names = sorted(clips, key=natural_key)
-        chosen, worst = _best_draw([clips[name] for name in names], len(wanted), seed)
+        chosen, good = _best_draw([clips[name] for name in names], len(wanted), seed)
         longest = max(clips, key=lambda name: (len(clips[name]), name))
-        if worst <= TOLERANCE or len(clips[longest]) < 4:
+        if good or len(clips[longest]) < 4:
             break
         run = clips.pop(longest)
         half = len(run) // 2
@@ -100,29 +100,35 @@ def _list(clips: dict[str, int]) -> str:
     return shown + (f" and {len(clips) - 8} more" if len(clips) > 8 else "")
 
 
-def _best_draw(clips: list[list[Example]], parts: int, seed: int) -> tuple[Ints, float]:
-    """Of many random orders of the clips, the best: each clip's part (0 training) and by how much a share is missed."""
+def _best_draw(clips: list[list[Example]], parts: int, seed: int) -> tuple[Ints, bool]:
+    """Of many random orders of the clips, the best: each clip's part (0 training), and whether the shares are good."""
     counts = np.array([_counts(clip, clips) for clip in clips], np.float64)  # (clips, images + boxes of each class)
     share = counts / np.maximum(counts.sum(0), 1)
     rng = np.random.default_rng(seed)
-    best: tuple[float, float, Ints] = (np.inf, np.inf, np.zeros(len(clips), np.int64))
+    best_cost, best, good = np.inf, np.zeros(len(clips), np.int64), False
     for _ in range(TRIALS):
-        order = rng.permutation(len(clips))
-        chosen = np.zeros(len(clips), np.int64)
-        ends = np.cumsum(share[order, 0])
-        start = 0
-        for part in range(1, parts + 1):
-            missed = np.abs(ends[start:] - (ends[start - 1] if start else 0.0) - SHARE)
-            end = start + int(missed.argmin()) + 1
+        chosen = _draw(rng.permutation(len(clips)), share[:, 0], parts)
+        has = np.stack([share[chosen == part].sum(0) for part in range(parts + 1)])  # (parts, images + classes)
+        usable = bool((has[:, 1:].max(1) > 0).all())
+        off = np.abs(has[1:] - SHARE)
+        missing = np.count_nonzero(has[:, 1:] == 0)  # classes that a part does not show
+        cost = float(off.max(0).mean() + off[:, 0].max()) + missing + (not usable)
+        if cost < best_cost:
+            best_cost, best = cost, chosen
+            good = usable and bool(((has[1:, 0] >= LEAST) & (has[1:, 0] <= MOST)).all())
+    return best, good
+
+
+def _draw(order: Ints, share: Floats, parts: int) -> Ints:
+    """The first clips of ``order`` fill part 1 to about its share, the next part 2; the rest is training, 0."""
+    chosen = np.zeros(len(order), np.int64)
+    start = 0
+    for part in range(1, parts + 1):
+        if start < len(order):
+            end = start + 1 + int(np.abs(np.cumsum(share[order[start:]]) - SHARE).argmin())
             chosen[order[start:end]] = part
-            start = end if end < len(clips) else start
-        off = np.stack([np.abs(share[chosen == part].sum(0) - SHARE) for part in range(1, parts + 1)])
-        empty = (off[:, 1:].min() > SHARE - 1e-9) or not (chosen == 0).any()
-        worst = float(off[:, 0].max()) + float(empty)
-        cost = worst + float(off.mean())
-        if cost < best[0]:
-            best = (cost, worst, chosen)
-    return best[2], best[1]
+            start = end
+    return chosen
 
 
 def _counts(clip: list[Example], clips: list[list[Example]]) -> list[int]:

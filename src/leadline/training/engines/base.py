@@ -59,8 +59,11 @@ class Engine(Protocol):
     name: str
     licence: str  # of the trained weights
 
+    def check(self) -> None:
+        """InputError, with the command that helps, where the engine's packages are not installed."""
+
     def train(self, lesson: Lesson, settings: TrainConfig, out: Path, progress: Progress) -> Path:
-        """The ONNX file of the best weights. InputError where the engine's packages are not installed."""
+        """The ONNX file of the best weights."""
         ...
 
 

@@ -21,12 +21,14 @@ class Own:
     name = "leadline"
     licence = "yours: leadline's network and trainer are Apache-2.0 and put no condition on weights trained with them"
 
-    def train(self, lesson: Lesson, settings: TrainConfig, out: Path, progress: Progress) -> Path:
+    def check(self) -> None:
         try:
             import onnx  # noqa: F401, PLC0415
             import torch  # noqa: F401, PLC0415
         except ImportError as error:
             raise InputError(f"training needs {error.name}, which is not installed", "", TRAIN_EXTRA) from error
+
+    def train(self, lesson: Lesson, settings: TrainConfig, out: Path, progress: Progress) -> Path:
         from leadline.training.export import export_onnx  # noqa: PLC0415
 
         run = _Run(lesson, settings, out / CHECKPOINT)
@@ -68,7 +70,7 @@ class _Run:
         self._seconds = 0.0
         self._best: dict[str, Any] = {}
         if checkpoint.exists():
-            self._load(torch.load(checkpoint, weights_only=False))
+            self._load(torch.load(checkpoint, weights_only=True))
 
     @property
     def done(self) -> bool:

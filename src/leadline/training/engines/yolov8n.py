@@ -7,7 +7,6 @@ import os
 import shutil
 import time
 import warnings
-from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -27,6 +26,9 @@ class Yolov8n:
     name = "yolov8n"
     licence = "AGPL-3.0: trained by Ultralytics YOLOv8, whose makers hold that exported models stay under it"
 
+    def check(self) -> None:
+        _ultralytics()
+
     def train(self, lesson: Lesson, settings: TrainConfig, out: Path, progress: Progress) -> Path:
         """From scratch, by the paper's recipe; goes on from Ultralytics' own ``last.pt`` where there is one."""
         yolo = _ultralytics()
@@ -35,6 +37,7 @@ class Yolov8n:
         data = _write_set(lesson, folder)
         model = yolo(str(last) if last.exists() else "yolov8n.yaml", task="detect", verbose=False)
         watcher = _Watcher(progress, settings)
+        model.add_callback("on_train_start", lambda _: import_module("torch").set_num_threads(settings.threads))
         model.add_callback("on_train_batch_end", watcher.batch)
         model.add_callback("on_fit_epoch_end", watcher.epoch)
         if not (last.exists() and _finished(last)):
@@ -88,6 +91,8 @@ def _ultralytics() -> Any:
 def _has_nms(torch: Any) -> bool:
     try:
         import_module("torchvision")
+    except ImportError:  # Ultralytics' own import says so
+        return True
     except RuntimeError:  # torchvision::nms does not exist: a build for CUDA beside a torch for the processor
         return False
     return hasattr(torch.ops.torchvision, "nms")
@@ -103,7 +108,8 @@ def _register_nms(torch: Any) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that its own operators cannot be loaded
         import_module("torchvision")
-    import_module("torchvision.ops.boxes")._assert_has_ops = lambda: None
+    boxes: Any = import_module("torchvision.ops.boxes")
+    boxes._assert_has_ops = lambda: None
 
 
 _KEPT: list[Any] = []
@@ -115,7 +121,7 @@ def _nms(boxes: Any, scores: Any, threshold: float) -> Any:
 
     corners = boxes.double()
     rectangles = torch.cat([corners[:, :2], corners[:, 2:] - corners[:, :2]], 1).tolist()
-    kept = cv2.dnn.NMSBoxes(rectangles, scores.double().tolist(), -1.0, float(threshold))
+    kept = cv2.dnn.NMSBoxes(rectangles, scores.double().tolist(), 0.0, float(threshold))
     return torch.as_tensor(list(kept), dtype=torch.int64).flatten()
 
 
@@ -178,18 +184,21 @@ class _Watcher:
 
     def __init__(self, progress: Progress, settings: TrainConfig) -> None:
         self._progress, self._epochs = progress, settings.epochs
-        self._began, self._batches, self._best = time.monotonic(), 0, -1.0
+        self._began, self._batches, self._best, self._learnt = time.monotonic(), 0, -1.0, False
 
     def batch(self, trainer: Any) -> None:
+        self._learnt = True
         self._batches += 1
         each = len(trainer.train_loader)
         self._progress.tick(trainer.epoch * each + (self._batches - 1) % each + 1, each * self._epochs)
 
     def epoch(self, trainer: Any) -> None:
-        if trainer.epoch_time is None:  # the last judgement, of the best weights, belongs to no epoch
+        if not self._learnt:  # the last judgement, of the best weights, belongs to no epoch
             return
+        self._learnt = False
         quality = Quality(trainer.metrics["metrics/mAP50(B)"], trainer.metrics["metrics/mAP50-95(B)"])
         best = quality.ap50_95 > self._best
         self._best = max(self._best, quality.ap50_95)
-        losses: Sequence[float] = trainer.tloss.tolist()
-        self._progress.epoch(Epoch(trainer.epoch + 1, sum(losses), quality, best, time.monotonic() - self._began))
+        losses = trainer.tloss.values() if isinstance(trainer.tloss, dict) else trainer.tloss  # by version
+        loss = sum(float(part) for part in losses)
+        self._progress.epoch(Epoch(trainer.epoch + 1, loss, quality, best, time.monotonic() - self._began))
