@@ -7,7 +7,8 @@ from functools import cache
 import numpy as np
 
 from leadline.samples import Image
-from leadline.simulation.pictures import LABEL, Box, random_picture
+from leadline.simulation.canvas import Box
+from leadline.simulation.pictures import LABEL, random_picture
 
 Picture = tuple[Image, list[Box], list[str]]
 

@@ -5,8 +5,6 @@ Quick and various rather than exact: flat cameras, no refraction. Water, texture
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -14,39 +12,14 @@ from numpy.typing import NDArray
 from leadline.samples import Image
 from leadline.simulation import textures
 from leadline.simulation.backdrops import random_backdrop
+from leadline.simulation.canvas import Box, Canvas
 from leadline.simulation.clutter import add_clutter
 from leadline.simulation.optics import Float, WaterOptics, develop, f32, random_water
+from leadline.simulation.props import add_solids
+from leadline.simulation.skins import PAINTS_BGR
 
-Box = tuple[float, float, float, float]
 LABEL = "ball"
-
-PAINTS_BGR = (  # linear reflectance
-    (0.03, 0.22, 0.75),  # orange
-    (0.04, 0.04, 0.65),  # red
-    (0.05, 0.60, 0.75),  # yellow
-    (0.10, 0.50, 0.10),  # green
-    (0.75, 0.75, 0.75),  # white
-    (0.10, 0.10, 0.10),  # black
-    (0.50, 0.15, 0.05),  # blue
-    (0.45, 0.20, 0.70),  # pink
-)
-
-
-@dataclass(slots=True)
-class Canvas:
-    """The scene as the camera sees it in air: reflectance (h, w, 3), distance (h, w), shading (h, w), owner (h, w)."""
-
-    reflectance: Float
-    distance_m: Float
-    shading: Float
-    owner: NDArray[np.int16]  # -1 background and clutter, else the ball's number
-
-    def paint(self, at: tuple[slice, slice], colour: Float, alpha: Float, distance_m: Float, shading: Float) -> None:
-        """Lay a patch over the canvas."""
-        a = alpha[..., None]
-        self.reflectance[at] += (colour - self.reflectance[at]) * a
-        self.distance_m[at] += (distance_m - self.distance_m[at]) * alpha
-        self.shading[at] += (shading - self.shading[at]) * alpha
+SOLID_PART = 0.65  # of the pictures have solids in perspective, with shadows; the others flat painted balls
 
 
 def random_picture(rng: np.random.Generator, size: tuple[int, int] = (416, 416)) -> tuple[Image, list[Box], list[str]]:
@@ -57,7 +30,8 @@ def random_picture(rng: np.random.Generator, size: tuple[int, int] = (416, 416))
     water = random_water(rng)
     canvas = Canvas(*random_backdrop(rng, size), np.full(size, -1, np.int16))
     add_clutter(rng, canvas.paint, size)
-    outlines = _add_balls(rng, canvas, water)
+    add = add_solids if rng.random() < SOLID_PART else _add_balls
+    outlines = add(rng, canvas, water)
     light = _illuminate(rng, canvas, water)
     image = _through_the_camera(rng, light)
     kept = [i for i, box in enumerate(outlines) if _visible(canvas.owner == i, image, box)]
@@ -197,6 +171,8 @@ def _illuminate(rng: np.random.Generator, canvas: Canvas, water: WaterOptics) ->
     veil *= _veil_shape(rng, height, width)[..., None]
     direct += veil
     _add_snow(rng, direct, water)
+    if rng.random() < 0.2:
+        _add_bubbles(rng, direct)
     if rng.random() < 0.25:
         _add_spot(rng, direct, canvas)
     return direct
@@ -227,6 +203,20 @@ def _add_snow(rng: np.random.Generator, light: Float, water: WaterOptics) -> Non
         strict=True,
     ):
         _add_blob(light, x, y, float(radius), np.full(3, min(bright, 0.6), np.float32))
+
+
+def _add_bubbles(rng: np.random.Generator, light: Float) -> None:
+    """A stream of rising bubbles: bright rims with a glint, no balls."""
+    height, width = light.shape[:2]
+    rims = np.zeros((height, width), np.uint8)
+    middle, spread = rng.uniform(0, width), rng.uniform(0.01, 0.3) * width
+    for _ in range(int(rng.integers(3, 40))):
+        at = (round(middle + spread * rng.standard_normal()), int(rng.uniform(0, height)))
+        radius = int(np.exp(rng.uniform(0.5, 2.4)))
+        cv2.ellipse(rims, at, (radius, max(1, int(radius * rng.uniform(0.5, 1)))), 0, 0, 360,
+                    int(rng.integers(60, 256)), max(1, radius // 5), cv2.LINE_AA)  # fmt: skip
+        cv2.circle(rims, (at[0] - radius // 3, at[1] - radius // 3), max(1, radius // 5), 255, -1, cv2.LINE_AA)
+    light += (rims.astype(np.float32) * np.float32(rng.uniform(0.2, 1.0) / 255))[..., None]
 
 
 def _add_spot(rng: np.random.Generator, light: Float, canvas: Canvas) -> None:

@@ -52,6 +52,7 @@ def detection_loss(
     """
     target = torch.zeros_like(logits)
     taught = torch.ones_like(logits)
+    quality = torch.ones_like(logits)
     box_loss, box_weight = logits.sum() * 0, logits.new_zeros(())
     for k, (every, numbers) in enumerate(zip(truths, classes, strict=True)):
         truth, names, unsure = every[numbers >= 0], numbers[numbers >= 0], every[numbers < 0]
@@ -66,16 +67,21 @@ def detection_loss(
         taught[k][target[k] == 1] = 1
         hottest, owner = heat.max(0)
         mine = hottest >= BOX_HEAT
-        giou = pair_iou(boxes[k, mine], truth[owner[mine]])[1]
+        iou, giou = pair_iou(boxes[k, mine], truth[owner[mine]])
+        quality[k, mine] = (1 + iou.detach()[:, None]) / 2
         box_loss = box_loss + ((1 - giou) * hottest[mine]).sum()
         box_weight = box_weight + hottest[mine].sum()
-    return _heat_loss(logits, target, taught) + BOX_WEIGHT * box_loss / box_weight.clamp(min=1)
+    return _heat_loss(logits, target, quality, taught) + BOX_WEIGHT * box_loss / box_weight.clamp(min=1)
 
 
-def _heat_loss(logits: Tensor, target: Tensor, taught: Tensor) -> Tensor:
-    """Focal loss; beside a centre an empty cell counts the less the hotter it is."""
+def _heat_loss(logits: Tensor, target: Tensor, quality: Tensor, taught: Tensor) -> Tensor:
+    """Focal loss; beside a centre an empty cell counts the less the hotter it is.
+
+    At a centre the score shall be ``quality``, which grows with the overlap of the box predicted there
+    (arXiv:2006.04388): boxes that fit well then rank first.
+    """
     score = logits.sigmoid()
     at_centre = target == 1
-    full = (1 - score) ** 2 * functional.logsigmoid(logits)
+    full = (quality - score) ** 2 * -functional.binary_cross_entropy_with_logits(logits, quality, reduction="none")
     empty = (1 - target) ** 4 * score**2 * functional.logsigmoid(-logits)
     return -(torch.where(at_centre, full, empty) * taught).sum() / at_centre.sum().clamp(min=1)
