@@ -17,8 +17,8 @@ from leadline.recognition.boxes import Boxes
 from leadline.recognition.detector import Detector
 from leadline.recognition.heads import recognise
 from leadline.recognition.letterbox import letterbox, planes
-from leadline.recognition.track import choose, iou
-from leadline.samples import Detection, StereoFrame
+from leadline.recognition.track import iou
+from leadline.samples import StereoFrame
 from tiny_onnx import DOUBLE, FLOAT16, UINT8, constant_model
 
 NAMES = {"names": "{0: 'ball', 1: 'pile'}"}
@@ -339,21 +339,7 @@ def test_a_missing_boxes_file(tmp_path: Path) -> None:
         Boxes(tmp_path / "absent.json")
 
 
-# the choice of one
-
-
-def test_choice_without_a_last_box_is_large_and_sure() -> None:
-    small, large = Detection((0, 0, 10, 10), 0.9), Detection((50, 50, 40, 40), 0.5)
-    assert choose([small, large]) is small  # a large box that is hardly sure is not the target ...
-    assert choose([small, Detection(large.box_px, 0.6)]) is not small  # ... but a sure one is, before a small one
-    assert choose([]) is None
-
-
-def test_choice_stays_with_the_last_box() -> None:
-    small, large = Detection((2, 1, 10, 10), 0.4), Detection((50, 50, 40, 40), 0.9)
-    assert choose([large, small], last_box=(0, 0, 10, 10)) is small
-    assert choose([large, Detection((14, 0, 10, 10), 0.3)], last_box=(0, 0, 15, 15)) is not large
-    assert choose([large], last_box=(0, 0, 10, 10)) is large  # nothing near: look afresh
+# overlap
 
 
 boxes = st.tuples(*[st.floats(-50, 50)] * 2, *[st.floats(1, 80)] * 2)

@@ -10,9 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
+from leadline.config import TrackConfig
 from leadline.evaluation.detection import DetectionQuality, evaluate_detections
 from leadline.recognition.detector import Detector
-from leadline.recognition.track import choose, iou
+from leadline.recognition.track import Track, iou
+from leadline.samples import NS_PER_S
 from leadline.simulation.pictures import random_picture
 from leadline.training.dataset import read_voc, split_by_numbers
 
@@ -69,12 +71,12 @@ def rendered(data_dir: Path, dive: str, side: str) -> dict[str, tuple[np.ndarray
 @pytest.mark.parametrize("dive", ["approach_ball_clear", "approach_ball_turbid"])
 def test_every_rendered_frame_gets_its_ball(detector: Detector, data_dir: Path, dive: str) -> None:
     """From 2.2 m to 0.2 m, the view filled included; the chosen box is the ball with the detector's own threshold."""
-    last = None
-    for name, (image, box) in rendered(data_dir, dive, "left").items():
-        target = choose(detector.detect(image), last)
-        assert target is not None, name
-        assert iou(target.box_px, box) >= 0.6, name
-        last = target.box_px
+    track = Track(TrackConfig())
+    for k, (name, (image, box)) in enumerate(rendered(data_dir, dive, "left").items()):
+        found = track.follow(k * NS_PER_S // 2, detector.detect(image), None)
+        assert found is not None, name
+        assert not track.held, name
+        assert iou(found, box) >= 0.6, name
 
 
 @pytest.mark.data

@@ -20,12 +20,12 @@ from leadline.estimation import Estimate, Filter, FilterSettings
 from leadline.localizer.agreement import Agreement
 from leadline.localizer.blind import held
 from leadline.localizer.doubt import SURPRISE, Doubt
+from leadline.localizer.expected import expected
 from leadline.localizer.laser import LaserSight
 from leadline.localizer.motion import as_of_target, skew_of, taken_ns
 from leadline.localizer.sight import VISION, Found, Sight
-from leadline.ranging.coarse import Box
 from leadline.recognition.finder import Finder
-from leadline.recognition.track import choose, iou
+from leadline.recognition.track import Box, Track
 from leadline.recognition.view import WholeView
 from leadline.rig import Rig
 from leadline.samples import (
@@ -78,7 +78,7 @@ class Localizer:
         self._last_frame: StereoFrame | None = None
         self._newest_reading_ns, self._lag_ns = 0, 0  # how much later than readings the cameras' pictures come
         self._last_used: dict[Kind, int] = {}
-        self._last_box: Box | None = None
+        self._track = Track(self._config.track)
         self.detections: list[Detection] = []  # of the last frame, for those who draw
 
     def step(self, sample: Sample) -> Solution | None:
@@ -98,11 +98,11 @@ class Localizer:
         frame = self._fresh(frame)
         self._lag_ns = max(self._newest_reading_ns - frame.t_ns, 0)
         self.detections = self._finder.find(frame)
-        box = self._where(before)
-        if box is None:
+        box = self._where(taken_ns(frame), before)
+        if box is None and before is None:
             return self._solution(frame.t_ns, [], [])
         skew = skew_of(frame, self._target, before, self._motion, self._config.filter.initial_speed_m_s)
-        found = self._sight.measure(frame, box, before, skew)
+        found = self._sight.spot(frame, before, skew) if box is None else self._sight.measure(frame, box, before, skew)
         if self._laser is not None and not self._filtered:
             found += self._laser.near(taken_ns(frame))
         self._compare(found)
@@ -111,7 +111,6 @@ class Localizer:
         if not self._filter.alive and not self._start(taken_ns(frame), measurements):
             return self._solution(frame.t_ns, [], rejected)
         used, turned_away = self._add(taken_ns(frame), measurements, before)
-        self._last_box = box
         self._look_back(taken_ns(frame), before, _positions(measurements), used)
         return self._solution(frame.t_ns, used, rejected + turned_away)
 
@@ -189,14 +188,19 @@ class Localizer:
     def _add(
         self, t_ns: int, measurements: list[Measurement], before: Estimate | None
     ) -> tuple[list[Kind], list[Rejected]]:
-        """To the filter, but for positions that it would refuse while the laser speaks for it."""
-        if before is None or not self._doubt.withholds(t_ns, self._last_used.get(Kind.LASER)):
+        """To the filter, but for positions that it would refuse while the laser speaks for it or nothing is detected.
+
+        It begins anew with refused positions that agree with each other: so does what stands where the target was.
+        """
+        withheld = self._doubt.withholds(t_ns, self._last_used.get(Kind.LASER))
+        if before is None or not (withheld or self._track.held):
             return self._filter.add(t_ns, measurements)
+        why = "disagrees while the laser agrees" if withheld else "disagrees and is not detected"
         strange = [one for one in _positions(measurements) if not self._agrees(one, before)]
         used, rejected = self._filter.add(
             t_ns, [one for one in measurements if all(one is not other for other in strange)]
         )
-        return used, rejected + [Rejected(one.kind, t_ns, "disagrees while the laser agrees") for one in strange]
+        return used, rejected + [Rejected(one.kind, t_ns, why) for one in strange]
 
     def _agrees(self, one: Measurement, before: Estimate) -> bool:
         off = one.z[:3] - before.x[:3]
@@ -217,6 +221,7 @@ class Localizer:
         if VISION & set(used):
             self._last_seen = self._filter.at(t_ns)
             self._doubt.settled()
+            self._track.confirm(t_ns)
         elif places and before is not None:
             believed_m, seen_m = (self._target.range(x)[0] for x in (before.x, places[0].z))
             self._doubt.seen_elsewhere(t_ns, seen_m - believed_m)
@@ -229,7 +234,8 @@ class Localizer:
     def _forget(self) -> None:
         self._filter.stop()
         self._last_used.clear()
-        self._last_box = self._last_seen = None
+        self._last_seen = None
+        self._track.forget()
         self._doubt.settled()
 
     def _expire(self, t_ns: int) -> None:
@@ -238,13 +244,13 @@ class Localizer:
         if self._filter.alive and t_ns - last > self._config.status.lost_after_s * NS_PER_S:
             self._forget()
 
-    def _where(self, before: Estimate | None) -> Box | None:
-        """The target's box: a detection that goes on from the last one, else where it must still be."""
-        expected = self._last_box if before is not None else None
-        found = choose(self.detections, expected)
-        if expected is not None and (found is None or iou(found.box_px, expected) == 0.0):
-            return expected
-        return None if found is None else found.box_px
+    def _where(self, t_ns: int, before: Estimate | None) -> Box | None:
+        """The target's box: a detection that goes on from where it was, else where it must still be."""
+        if before is None:
+            self._track.forget()
+            return self._track.follow(t_ns, self.detections, None, self._sight.beam_px())
+        outline = expected(self._rig, self._target, before)
+        return self._track.follow(t_ns, self.detections, outline, self._sight.beam_px())
 
     def _start(self, t_ns: int, measurements: Sequence[Measurement]) -> bool:
         """Begin a track: wide, where the first measurement that fixes a position has it."""

@@ -43,6 +43,22 @@ class Sight:
         found = [self._honest(one, skew) if isinstance(one, Measurement) else one for one in found]
         return found if self._laser is None else found + self._laser.spot(frame, taken_ns(frame), x, skew)
 
+    def spot(self, frame: StereoFrame, before: Estimate | None, skew: Skew) -> Found:
+        """The spot alone, on a target that is believed and not seen."""
+        guess = self._prior(before)
+        if self._laser is None or guess is None:
+            return []
+        return self._laser.spot(frame, taken_ns(frame), guess.x, skew)
+
+    def beam_px(self) -> tuple[float, float] | None:
+        """Where in the left image the last reading says that the beam ends; None without one."""
+        length_m = None if self._laser is None else self._laser.last_length_m()
+        if length_m is None or self._rig.laser is None:
+            return None
+        end_m = self._rig.laser.origin_m + length_m * self._rig.laser.direction
+        u, v = self._rig.project_one(end_m[None], "left")[0]
+        return float(u), float(v)
+
     def _prior(self, before: Estimate | None) -> Prior | None:
         if before is None:
             return None
