@@ -90,7 +90,7 @@ def detector(
     for told in (*lines(result), *result.notices):
         typer.echo(told)
     console = Console(highlight=False)
-    console.print(_boxes("by box size", result.recall_by_size))
+    console.print(_boxes("by box size; px: how far the found boxes' centres are off", result.recall_by_size))
     console.print(_boxes("by water", [row.all for row in result.by_water]))
     for file in result.files:
         typer.echo(str(file))
@@ -103,7 +103,7 @@ def _boxes(title: str, rows: list[Row]) -> Table:
 
     table = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0))
     table.add_column("", no_wrap=True)
-    for name in ("labelled", "found", "recall", "false", "precision", "centre off, px\nmean", "\nRMS", "\n95 %"):
+    for name in ("labelled", "found", "recall", "false", "precision", "mean px", "RMS px", "95 % px"):
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
         table.add_row(*row_cells(row))
