@@ -9,13 +9,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from leadline.config import BeamConfig, OutlineConfig, StereoConfig
 from leadline.estimation import Estimate
+from leadline.geometry import Camera
 from leadline.localizer.motion import Skew
 from leadline.localizer.sight import Found, Sight
 from leadline.ranging.beam import BeamRanger
 from leadline.ranging.coarse import Box
+from leadline.ranging.focus import narrowed
+from leadline.ranging.layout import cells, levels, patch_size, round_inset
 from leadline.ranging.shape_fit import Points, fit
 from leadline.ranging.surface_fit import fit_surface
 from leadline.rig import Rig, Side
@@ -25,7 +29,6 @@ from leadline.target import Cylinder, Plane, Sphere, Surface, Target
 SIDES: tuple[Side, Side] = ("left", "right")
 SURFACE_RADIUS_M = 0.2  # of the piece of an unknown surface that the box is taken to show
 MARGIN_PX = 4.0  # from the border of an image
-ROUND_INSET = 0.9  # of a round target's box
 PICKED = 1.13  # patches are put where the texture is richest: their slope over that of the whole target
 EDGES = 60  # directions about a ball
 
@@ -131,21 +134,19 @@ def expected_points(
     box = box_of(rig, target, x)
     if box is None:
         return None
-    level = max(0, int(np.round(np.log2(max(box[2], box[3]) / settings.target_px))))
-    half = int(np.clip(np.sqrt(box[2] * box[3]) / 2**level / 8, settings.min_half_px, settings.half_px))
-    inset = ROUND_INSET if isinstance(target, Sphere | Surface) else None
-    q_px, step_px = _grid(box, settings.patches, half * 2**level, inset)
-    reach_px = half * 2**level + MARGIN_PX
+    if isinstance(target, Cylinder):
+        box = narrowed(rig, target, x, box)
+    distance, _ = target.range(x)
+    _, level = levels(settings, rig.focal_outside_px, box, distance)
+    half, count = patch_size(settings, np.array(box[2:]) / 2**level, level)
+    half_px, side_px = half * 2**level, 2 * half + 1
+    q_px, step_px = _grid(box, half_px, count, round_inset(target))
     origins, directions = rig.rays(q_px, "left")
     lengths, _ = target.beam_length(x, origins, directions)
     points = origins + lengths[:, None] * directions
     at_px, jacobian = rig.project_with_jacobian(points, "right")
-    size = np.array([rig.right.width, rig.right.height])
-    with np.errstate(invalid="ignore"):
-        seen = ((at_px > reach_px) & (at_px < size - reach_px)).all(axis=1) & np.isfinite(lengths)
-        seen &= ((q_px > reach_px) & (q_px < np.array([rig.left.width, rig.left.height]) - reach_px)).all(axis=1)
-    side_px = 2 * half + 1
-    distance, _ = target.range(x)
+    seen = _inside(q_px, rig.left, half_px + MARGIN_PX) & np.isfinite(lengths)
+    seen &= _inside(at_px, rig.right, 1.5 * half_px + MARGIN_PX * 2**level)
     sigma_px = conditions.match_sigma_px(distance, rig.baseline_m / distance, side_px, level)
     sigma_px *= max(1.0, side_px * 2**level / step_px)  # patches that overlap share their noise
     if seen.sum() < settings.min_agreed or sigma_px / 2**level > settings.max_sigma_px:
@@ -154,17 +155,21 @@ def expected_points(
     return Points(origins[seen], directions[seen], lengths[seen], sigma_px / px_per_m)
 
 
-def _grid(box: Box, patches: int, half_px: float, round_inset: float | None) -> tuple[Array, float]:
+def _inside(q_px: Array, camera: Camera, margin_px: float) -> NDArray[np.bool_]:
+    """Which pixels (N, 2) are so far inside an image; not those that are NaN."""
+    return np.asarray(((q_px > margin_px) & (q_px < np.array([camera.width, camera.height]) - margin_px)).all(axis=1))
+
+
+def _grid(box: Box, half_px: float, count: int, inset: float | None) -> tuple[Array, float]:
     """About so many patch middles (N, 2) over the box, or over the ellipse in it, and the step between them, px."""
-    low, size = np.array(box[:2]), np.array(box[2:])
-    step = max(float(np.sqrt(np.prod(size) / patches)), half_px)
-    cells = np.maximum(np.round((size - half_px) / step), 1).astype(int)
-    across = [(np.arange(n) + 0.5) / n for n in cells]
+    size = np.array(box[2:]) - half_px  # patches stand over the box by half of theirs
+    columns, rows = cells(size, round(half_px), count)
+    across = [(np.arange(n) + 0.5) / n for n in (columns, rows)]
     part = np.stack(np.meshgrid(*across), axis=-1).reshape(-1, 2)
-    if round_inset is not None:  # a cell counts if the nearest of the places tried in it is inside
-        nearest = np.maximum(np.abs(2 * part - 1) - 2 / (3 * cells), 0.0)
-        part = part[(nearest**2).sum(axis=1) < round_inset**2]
-    return low + part * size, step
+    if inset is not None:  # a cell counts if the nearest of the places tried in it is inside
+        nearest = np.maximum(np.abs(2 * part - 1) - 2 / (3 * np.array([columns, rows])), 0.0)
+        part = part[(nearest**2).sum(axis=1) < inset**2]
+    return np.array(box[:2]) + half_px / 2 + part * size, float(np.sqrt(np.prod(size) / (columns * rows)))
 
 
 def expected_size(rig: Rig, target: Target, settings: OutlineConfig, x: Array) -> Measurement | None:
@@ -194,9 +199,7 @@ def _grazing(rig: Rig, target: Sphere, settings: OutlineConfig, x: Array, side: 
     q_px, jacobian = rig.project_with_jacobian(rim + pupil, side)
     worth = 1 / np.linalg.norm(np.einsum("nij,nj->ni", jacobian, outward), axis=1)
     reach_px = max(min(settings.reach) * target.radius_m(x) / float(np.nanmedian(worth)), 5.0) + 3
-    camera = rig.left if side == "left" else rig.right
-    with np.errstate(invalid="ignore"):
-        seen = ((q_px > reach_px) & (q_px < np.array([camera.width, camera.height]) - reach_px)).all(axis=1)
+    seen = _inside(q_px, rig.left if side == "left" else rig.right, reach_px)
     return np.column_stack([-outward[seen], *[-np.ones(seen.sum())] * len(x[3:])]), worth[seen]
 
 
@@ -213,8 +216,7 @@ def expected_spot(
     margin_px = 3 * settings.spot_radius_m * rig.focal_outside_px / length + MARGIN_PX
     seen: dict[Side, tuple[Array, Array]] = {}
     for side, q_px, camera in zip(SIDES, rig.project(point), (rig.left, rig.right), strict=True):
-        high = np.array([camera.width, camera.height]) - margin_px
-        if ((q_px > margin_px) & (q_px < high)).all():  # not so where NaN
+        if _inside(q_px, camera, margin_px)[0]:
             seen[side] = (q_px[0], cov)
     found = ranger.spot(0, seen) if seen else None
     return found if isinstance(found, Measurement) else None

@@ -1,4 +1,8 @@
-"""Which patches of the left image are matched, and how a predicted shape places and bends them in the right."""
+"""Which patches of the left image are matched, and how a predicted shape places and bends them in the right.
+
+``levels``, ``patch_size``, ``round_inset`` and ``cells`` decide at what size, how many and where; the plan of a rig
+asks them too.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +13,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from leadline.config import StereoConfig
+from leadline.ranging.coarse import Box
 from leadline.ranging.images import Float32, Region
 from leadline.ranging.patches import Warp, bend_terms
 from leadline.rig import Rig
 from leadline.samples import Array
+from leadline.target import Sphere, Surface, Target
 
 LengthAt = Callable[[Array, Array], Array]  # origins, directions of rays (N, 3) -> lengths to the shape (N,)
 
+NEAR_SIZE_M = 0.4  # a wall is matched in pixels as fine as a ball of this size beside it
+ROUND_INSET = 0.9
 CHOICES = 3  # places tried along each side of a cell
 BEYOND = 1.01  # a length this much greater shows which way the epipolar curve goes
 MIN_SCALE, MAX_SCALE = 0.2, 5.0  # of a patch's area between the two images
@@ -24,27 +33,59 @@ _MIDDLE = 4
 _FIT = np.linalg.pinv(np.vstack([bend_terms(*_CORNERS.T), np.ones(9)])).T  # (6, 9)
 
 
-def centres(region: Region, low_px: Array, high_px: Array, half: int, count: int, round_inset: float | None) -> Array:
+def levels(settings: StereoConfig, focal_px: float, box: Box, range_m: float) -> tuple[int, int]:
+    """Halvings at which a large target is matched, at first and in the end.
+
+    One that is large and yet far off keeps the pixels that its range needs, once it is known to a few of them.
+    """
+    large, near = max(box[2], box[3]), focal_px * NEAR_SIZE_M / max(range_m, 0.1)
+    coarse, fine = (
+        max(0, round(float(np.log2(max(side, 1.0) / settings.target_px)))) for side in (large, min(large, near))
+    )
+    return coarse, fine
+
+
+def patch_size(settings: StereoConfig, size_px: Array, level: int, larger: float = 1.0) -> tuple[int, int]:
+    """Half a patch's side, and how many patches, for a box (2,) in pixels of the level.
+
+    Patches are smaller on a small target, so that there are still enough of them, and as many as cover it.
+    """
+    side = float(np.sqrt(np.prod(size_px)))
+    half = int(larger * np.clip(side / 8, settings.min_half_px, settings.half_px))
+    covers = float(np.clip((side / (2 * half + 1)) ** 2, settings.patches / 2, settings.patches))
+    return half, int((covers if level else settings.patches) / larger)  # no pixel is spare on a small target
+
+
+def round_inset(target: Target) -> float | None:
+    """The part of the box's ellipse that patches' centres may lie in; None for all of the box."""
+    return ROUND_INSET if isinstance(target, Surface | Sphere) else None
+
+
+def cells(size_px: Array, half: int, count: int) -> tuple[int, int]:
+    """Columns and rows of a grid over a box (2,), with a patch in each cell."""
+    step = max(float(np.sqrt(np.prod(size_px) / count)), half)
+    columns, rows = np.maximum(np.round((size_px - half) / step), 1).astype(int)
+    return int(columns), int(rows)
+
+
+def centres(region: Region, low_px: Array, high_px: Array, half: int, count: int, inset: float | None) -> Array:
     """About ``count`` whole-pixel centres (N, 2), one in each cell of a grid, where its texture is richest.
 
-    low_px, high_px: corners of the box in the region. round_inset: for a round target, the part of the box's ellipse
-    that centres may lie in; None for all of the box.
+    low_px, high_px: corners of the box in the region. inset: see ``round_inset``.
     """
     size = high_px - low_px
-    step = max(float(np.sqrt(np.prod(size) / count)), half)
-    cells = np.maximum(np.round((size - half) / step), 1).astype(int)
+    columns, rows = cells(size, half, count)
     lines = [
         np.round(low_px[i] + size[i] * (np.arange(CHOICES * n) + 0.5) / (CHOICES * n)).astype(int)
-        for i, n in enumerate(cells)
+        for i, n in enumerate((columns, rows))
     ]
     limits = [(half + 1, region.grey.shape[1 - i] - half - 2) for i in range(2)]
     inside = [(line >= least) & (line <= most) for line, (least, most) in zip(lines, limits, strict=True)]
     u, v = (np.clip(line, 0, region.grey.shape[1 - i] - 1) for i, line in enumerate(lines))
     value = np.where(inside[1][:, None] & inside[0], _texture(region.grey, half)[v[:, None], u], -1.0)
-    if round_inset is not None:
+    if inset is not None:
         x, y = ((line - (low_px[i] + high_px[i]) / 2) / (size[i] / 2) for i, line in enumerate(lines))
-        value[x**2 + y[:, None] ** 2 > round_inset**2] = -1.0
-    columns, rows = cells
+        value[x**2 + y[:, None] ** 2 > inset**2] = -1.0
     split = value.reshape(rows, CHOICES, columns, CHOICES).transpose(0, 2, 1, 3).reshape(rows * columns, -1)
     best = split.argmax(axis=1)
     cell = np.flatnonzero(split[np.arange(len(split)), best] >= 0)

@@ -15,7 +15,16 @@ from leadline.config import StereoConfig
 from leadline.ranging.coarse import Box, coarse_points
 from leadline.ranging.focus import lopsided, narrowed, textured
 from leadline.ranging.images import Region
-from leadline.ranging.layout import LengthAt, Prediction, centres, predicted, visible
+from leadline.ranging.layout import (
+    LengthAt,
+    Prediction,
+    centres,
+    levels,
+    patch_size,
+    predicted,
+    round_inset,
+    visible,
+)
 from leadline.ranging.patches import Limits, Verdict, refine, search
 from leadline.ranging.shape_fit import Fit, Points, fit
 from leadline.ranging.surface_fit import fit_surface
@@ -23,10 +32,8 @@ from leadline.rig import Rig
 from leadline.samples import Array, Image, Kind, Measurement, Rejected
 from leadline.target import Cylinder, Plane, Sphere, Surface, Target
 
-ROUND_INSET = 0.9
 MAX_MISFIT = 30.0  # patches this far off their sigmas hold another shape: a pile and the sand behind it
 NEAREST_M = 0.02
-NEAR_SIZE_M = 0.4  # a wall is matched in pixels as fine as a ball of this size beside it
 BOX_SIGMA = 0.2  # how well a box tells a ball's size
 FIRST_REACH_PX, NEXT_REACH_PX, MOST_REACH_PX = 3.0, 1.5, 12.0
 AS_PREDICTED_PX = 1.0  # patches that moved less than this need no second look
@@ -93,12 +100,12 @@ class StereoRanger:
             return "no shape through the patches" if len(points.length_m) else "no texture in common"
         if isinstance(target, Cylinder):
             box = narrowed(pair.rig, target, found.x, view)
-        coarse, fine = self._levels(pair.rig, box, target.range(found.x)[0])
+        coarse, fine = levels(self._settings, pair.rig.focal_outside_px, box, target.range(found.x)[0])
         if prior is None or predicted_well < 0:
-            levels, reach_px = (coarse, fine), FIRST_REACH_PX
+            steps, reach_px = (coarse, fine), FIRST_REACH_PX
         else:
-            levels, reach_px = (fine, fine), self._reach(pair.rig, prior, fine)
-        for level in levels:
+            steps, reach_px = (fine, fine), self._reach(pair.rig, prior, fine)
+        for level in steps:
             if found is None:
                 return "no shape through the patches"
             left = self._left(pair, box, level)
@@ -146,22 +153,11 @@ class StereoRanger:
         radius = float(np.median(np.linalg.norm(points.p_m, axis=1)) * sine / (1 - 0.8 * sine))
         return Sphere(None, radius, BOX_SIGMA * radius)
 
-    def _levels(self, rig: Rig, box: Box, range_m: float) -> tuple[int, int]:
-        """Halvings at which a large target is matched, at first and in the end.
-
-        One that is large and yet far off keeps the pixels that its range needs, once it is known to a few of them.
-        """
-        large, near = max(box[2], box[3]), rig.focal_outside_px * NEAR_SIZE_M / max(range_m, 0.1)
-        coarse, fine = (
-            max(0, round(np.log2(max(side, 1.0) / self._settings.target_px))) for side in (large, min(large, near))
-        )
-        return coarse, fine
-
     def _reach(self, rig: Rig, prior: Prior, level: int) -> float:
         """Pixels, at the level, that three sigma of the predicted range are worth."""
         near = max(self._target.range(prior.x)[0], NEAREST_M)
         moved = rig.focal_outside_px * rig.baseline_m * (1 / near - 1 / (near + 3 * prior.range_sigma_m)) / 2**level
-        return min(max(moved, NEXT_REACH_PX), MOST_REACH_PX)
+        return float(min(max(moved, NEXT_REACH_PX), MOST_REACH_PX))
 
     def _left(self, pair: Pair, box: Box, level: int) -> Region:
         low, size = np.array(box[:2]), np.array(box[2:])
@@ -179,18 +175,12 @@ class StereoRanger:
         return lambda _, directions: 1 / np.clip(sheet(directions / scale), 0.1, 10)
 
     def _match(self, pair: Pair, left: Region, box: Box, length_at: LengthAt, reach_px: float) -> _Round:
-        """Matched points on the target. Where the texture is too poor for most patches, fewer and larger ones.
-
-        Patches are smaller on a small target, so that there are still enough of them.
-        """
+        """Matched points on the target. Where the texture is too poor for most patches, fewer and larger ones."""
         low, high = left.to_here(np.array(box[:2])), left.to_here(np.array(box[:2]) + box[2:])
-        inset = ROUND_INSET if isinstance(self._target, Surface | Sphere) else None
-        settings, side = self._settings, float(np.sqrt(np.prod(high - low)))
+        inset = round_inset(self._target)
         rounds = []
         for larger in (1.0, LARGER):
-            half = int(larger * np.clip(side / 8, settings.min_half_px, settings.half_px))
-            covers = float(np.clip((side / (2 * half + 1)) ** 2, settings.patches / 2, settings.patches))
-            count = int((covers if left.level else settings.patches) / larger)  # no pixel is spare on a small target
+            half, count = patch_size(self._settings, high - low, left.level, larger)
             centre_px = centres(left, low + half / 2, high - half / 2, half, count, inset)
             rounds.append(self._match_patches(pair, left, centre_px, half, length_at, reach_px))
             if len(rounds[-1].points.length_m) > ENOUGH * len(centre_px):
