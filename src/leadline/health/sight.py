@@ -12,6 +12,8 @@ VISION = frozenset({Kind.STEREO, Kind.SIZE, Kind.SPOT})
 READINGS, AGAINST = 5, 4
 FRAMES, FRAMES_AGAINST = 8, 6
 RECENT_S = 1.5
+MATCHED, APART = 7, 5  # frames that matched before, and that do not now, at one go
+NEAREST_M = 0.6  # nearer, left and right may see different things
 REACH = 1.0  # of a box's size: a target in view lies this near the middle of its box
 Box = tuple[float, float, float, float]
 
@@ -64,10 +66,12 @@ class Contradictions:
         self._laser: deque[bool] = deque(maxlen=READINGS)
         self._vision: deque[bool] = deque(maxlen=FRAMES)
         self._laser_ns = self._vision_ns = -(10**18)  # when each was last taken
-        self._words = ""
+        self._matched, self._failed = 0, 0  # frames in a row
+        self._apart = False
 
     def see(self, solution: Solution) -> None:
         rejected = {one.kind for one in solution.rejected}
+        self._match(solution, Kind.STEREO in rejected)
         if Kind.LASER in solution.used or Kind.LASER in rejected:
             self._laser.append(Kind.LASER not in solution.used)
         if Kind.LASER in solution.used:
@@ -78,12 +82,25 @@ class Contradictions:
         elif VISION & rejected and any(one.nis is not None for one in solution.rejected if one.kind in VISION):
             self._vision.append(True)
 
+    def _match(self, solution: Solution, failed: bool) -> None:
+        """Left and right that fitted, and from one moment on do not, while the rest of the picture is still good."""
+        if Kind.STEREO in solution.used:
+            self._matched, self._failed, self._apart = self._matched + 1, 0, False
+        elif failed:
+            self._failed += 1
+            near = solution.range_m is None or solution.range_m < NEAREST_M
+            if self._failed == APART and self._matched >= MATCHED and not near and solution.used:
+                self._apart = True
+            self._matched = 0 if self._failed >= APART else self._matched
+
     def verdict(self, part: Part, now_ns: int) -> Verdict:
         if part is Part.LASER:
             seen = now_ns - self._vision_ns < RECENT_S * NS_PER_S
             if seen and len(self._laser) == READINGS and sum(self._laser) >= AGAINST and any(list(self._laser)[-2:]):
                 return State.WRONG, "its readings contradict what the cameras see"
             return None
+        if self._apart:
+            return State.WRONG, "left and right do not fit together any more: one of them is wrong"
         read = now_ns - self._laser_ns < RECENT_S * NS_PER_S
         if (
             read
