@@ -116,6 +116,26 @@ def test_another_training_is_not_overwritten(trained: Path, labelled: Path, caps
     assert weights(trained / "model.onnx") == before
 
 
+def test_a_checkpoint_of_another_version_is_told(
+    labelled: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from leadline.pipeline.train import plan_training  # noqa: PLC0415
+    from leadline.training.settings import TrainConfig  # noqa: PLC0415
+
+    out = tmp_path / "out"
+    out.mkdir()
+    settings = TrainConfig(epochs=3, size=64, threads=1)
+    (out / "settings.yaml").write_text(yaml.safe_dump(plan_training(labelled, tmp_path / "new", settings).record))
+    state = {"network": {"weight": torch.zeros(1)}}
+    for content in ({"trainer": state, "best": {}, "history": []}, {"other": 1}):
+        torch.save(content, out / "checkpoint.pt")
+        assert main(["train", str(labelled), "--out", str(out), *SMALL]) == 2
+        assert "checkpoint.pt: is no checkpoint of this version of leadline; give a new" in capsys.readouterr().err
+    (out / "checkpoint.pt").write_bytes(b"half")
+    assert main(["train", str(labelled), "--out", str(out), *SMALL]) == 2
+    assert "is no checkpoint of this version" in capsys.readouterr().err
+
+
 def test_a_finished_training_is_only_judged_again(trained: Path, labelled: Path) -> None:
     before = (trained / "model.onnx").stat().st_mtime_ns
     (trained / "test" / "pr_curve.svg").unlink()

@@ -30,7 +30,7 @@ def train(
     epochs: Annotated[int, typer.Option(help="The paper's: 50.")] = 50,
     batch: Annotated[int, typer.Option(help="The paper's: 4.")] = 4,
     size: Annotated[
-        int | None, typer.Option(help="Long side of the network's input, pixels, a multiple of 32.")
+        int | None, typer.Option(help="Long side of the network's input, pixels; 416, yolov8n 640.")
     ] = None,
     classes: Annotated[
         str | None, typer.Option(help="Keep some classes (buoy_red,gate), or merge them (ball=buoy_*,ball=float).")
@@ -39,9 +39,11 @@ def train(
         Path | None, typer.Option(help="CSV image,clip[,part] where file names do not tell the clips.")
     ] = None,
     minutes: Annotated[float | None, typer.Option(help="Be done by then, whatever the epochs.")] = None,
-    patience: Annotated[int | None, typer.Option(help="Stop after so many epochs without gain; 0: never.")] = None,
-    mosaic: Annotated[float | None, typer.Option(help="Share of pictures made of four.")] = None,
-    threads: Annotated[int | None, typer.Option(help="Threads of the processor.")] = None,
+    patience: Annotated[
+        int | None, typer.Option(help="Stop after so many epochs without gain, 0: never; 20, yolov8n 0.")
+    ] = None,
+    mosaic: Annotated[float | None, typer.Option(help="Share of pictures made of four; 0.5, yolov8n 1.")] = None,
+    threads: Annotated[int | None, typer.Option(help="Threads of the processor; 2.")] = None,
     seed: Annotated[int, typer.Option(help="Of the split, the first weights and the pictures.")] = 0,
 ) -> None:
     """Teach a detector your target: 50 to 2,000 labelled images -> an ONNX file with its figures."""

@@ -18,7 +18,7 @@ from leadline.training.dataset import Example
 from leadline.training.loss import detection_loss
 from leadline.training.network import STRIDES, Network, cell_centres
 
-KEPT_LONG_SIDE = 640  # larger images are kept at this size while training
+KEPT_LONG_SIDE = 640  # larger images are kept at this size while training, unless told otherwise
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,25 +45,26 @@ class Pool:
 
     examples: Sequence[Example]
     weight: float
+    long_side: int = KEPT_LONG_SIDE  # larger images are kept at this size, pixels
     _bytes: dict[int, tuple[bytes, float]] = field(default_factory=dict)
 
     def draw(self, rng: Rng) -> Picture:
         k = int(rng.integers(len(self.examples)))
         example = self.examples[k]
         if k not in self._bytes:
-            self._bytes[k] = _shrunk(example)
+            self._bytes[k] = _shrunk(example, self.long_side)
         encoded, scale = self._bytes[k]
         image = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_COLOR)
         return Picture(np.asarray(image, np.uint8), example.boxes * np.float32(scale), example.classes)
 
 
-def _shrunk(example: Example) -> tuple[bytes, float]:
+def _shrunk(example: Example, long_side: int) -> tuple[bytes, float]:
     """The file's bytes, re-encoded smaller where it is large, and the factor."""
     data = example.image.read_bytes()
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     if image is None:
         raise ValueError(f"{example.image}: not an image")
-    scale = KEPT_LONG_SIDE / max(image.shape[:2])
+    scale = long_side / max(image.shape[:2])
     if scale >= 1:
         return data, 1.0
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -44,13 +45,13 @@ class _Run:
     def __init__(self, lesson: Lesson, settings: TrainConfig, checkpoint: Path) -> None:
         import torch  # noqa: PLC0415
 
-        from leadline.training.train import Pool, Settings, Trainer  # noqa: PLC0415
+        from leadline.training.train import KEPT_LONG_SIDE, Pool, Settings, Trainer  # noqa: PLC0415
 
         self._lesson, self._settings, self._checkpoint = lesson, settings, checkpoint
         self._per_epoch = -(-len(lesson.train) // settings.batch)
         steps = self._per_epoch * settings.epochs
         self._trainer: Trainer = Trainer(
-            [Pool(lesson.train, 1.0)],
+            [Pool(lesson.train, 1.0, long_side=max(KEPT_LONG_SIDE, round(1.5 * settings.size)))],
             len(lesson.names),
             Settings(
                 steps=steps,
@@ -70,7 +71,12 @@ class _Run:
         self._seconds = 0.0
         self._best: dict[str, Any] = {}
         if checkpoint.exists():
-            self._load(torch.load(checkpoint, weights_only=True))
+            try:
+                self._load(torch.load(checkpoint, weights_only=True))
+            except (RuntimeError, KeyError, EOFError, pickle.UnpicklingError) as error:
+                raise InputError(
+                    "is no checkpoint of this version of leadline", str(checkpoint), "give a new folder to --out"
+                ) from error
 
     @property
     def done(self) -> bool:

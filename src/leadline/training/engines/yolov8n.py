@@ -184,7 +184,7 @@ class _Watcher:
 
     def __init__(self, progress: Progress, settings: TrainConfig) -> None:
         self._progress, self._epochs = progress, settings.epochs
-        self._began, self._batches, self._best, self._learnt = time.monotonic(), 0, -1.0, False
+        self._began, self._batches, self._learnt = time.monotonic(), 0, False
 
     def batch(self, trainer: Any) -> None:
         self._learnt = True
@@ -197,8 +197,7 @@ class _Watcher:
             return
         self._learnt = False
         quality = Quality(trainer.metrics["metrics/mAP50(B)"], trainer.metrics["metrics/mAP50-95(B)"])
-        best = quality.ap50_95 > self._best
-        self._best = max(self._best, quality.ap50_95)
+        best = bool(trainer.fitness == trainer.best_fitness)
         losses = trainer.tloss.values() if isinstance(trainer.tloss, dict) else trainer.tloss  # by version
         loss = sum(float(part) for part in losses)
         self._progress.epoch(Epoch(trainer.epoch + 1, loss, quality, best, time.monotonic() - self._began))
