@@ -29,7 +29,9 @@ def sighted(shot: Shot, dark: bool = False) -> tuple[Spot | NoSpot, Array]:
     sought = BeamRanger(RIG, shot.target).sought(shot.x)
     assert sought is not None
     one = sought[shot.side]
-    found = find_spot(shot.image, one.curve_px - shot.corner_px, one.shape_px2, shot.dark if dark else None)
+    found = find_spot(
+        shot.image, one.curve_px - shot.corner_px, one.shape_px2, one.beam_px_m, shot.dark if dark else None
+    )
     return found, one.middle(found.q_px, found.spread) if isinstance(found, Spot) else np.full(2, np.nan)
 
 
@@ -189,7 +191,7 @@ def test_the_frame_without_the_laser_takes_the_texture_away() -> None:
         dark = exposed(scene, rng, 1.0)[..., 1]
         image = exposed(scene + lit(centre, 60, GREEN), rng, 1.0)[..., 1]
         for off, given in ((with_dark, dark), (without, None)):
-            found = find_spot(image, CURVE, SHAPE, given)
+            found = find_spot(image, CURVE, SHAPE, dark=given)
             assert isinstance(found, Spot)
             off.append(found.q_px - centre)
     assert rms(np.array(with_dark)) < 0.8 * rms(np.array(without))
@@ -220,7 +222,7 @@ def test_rendered_spots_lie_where_the_truth_has_them(data_dir: Path, water: str)
         sides: tuple[Side, Side] = ("left", "right")
         for side in sides:
             image = np.asarray(cv2.imread(str(folder / frame[side])), np.uint8)
-            found = find_spot(image, sought[side].curve_px, sought[side].shape_px2)
+            found = find_spot(image, sought[side].curve_px, sought[side].shape_px2, sought[side].beam_px_m)
             assert isinstance(found, Spot), f"{frame[side]}: {found}"
             seen[side] = sought[side].middle(found.q_px, found.spread), found.cov_px2
             off.append(seen[side][0] - frame["laser"][f"spot_{side}_px"])

@@ -108,7 +108,7 @@ class LaserSight:
         missing: dict[str, None] = {}
         sides: tuple[tuple[Side, Image], ...] = (("left", frame.left), ("right", frame.right))
         for side, image in sides:
-            found = find_spot(image, sought[side].curve_px, sought[side].shape_px2)
+            found = find_spot(image, sought[side].curve_px, sought[side].shape_px2, sought[side].beam_px_m)
             if isinstance(found, Spot):
                 seen[side] = sought[side].middle(found.q_px, found.spread), found.cov_px2
             else:

@@ -34,13 +34,15 @@ class Sought:
     """Where and how the spot must look in one image.
 
     curve_px: (K, 2) the beam's image, near to far. shape_px2: (2, 2) covariance of its light. facing_px, bend_px (2,):
-    why a symmetric spot fitted to its light is not at the beam's middle, see ``middle``.
+    why a symmetric spot fitted to its light is not at the beam's middle, see ``middle``. beam_px_m: (2,) how far the
+    beam's image runs in a metre, there.
     """
 
     curve_px: Array
     shape_px2: Array
     facing_px: Array
     bend_px: Array
+    beam_px_m: Array
 
     def middle(self, q_px: Array, spread: float = 1.0) -> Array:
         """The beam's own middle (2,) from the centre of its light: slant and bend move one from the other.
@@ -103,7 +105,7 @@ class BeamRanger:
         travel_px = hypot(*(image.near(farthest_m)[0] - image.near(nearest_m)[0]).tolist())
         travel_px = travel_px if isfinite(travel_px) else 3000.0  # an end that is unseen
         inverse = np.linspace(1 / nearest_m, 1 / farthest_m, min(int(travel_px / step_px), 3000) + 4)
-        return Sought(image.at(1 / inverse), shape_px2, facing_px, bend_px)
+        return Sought(image.at(1 / inverse), shape_px2, facing_px, bend_px, image.near(footprint.length_m)[1])
 
     def _footprint(self, x: Array) -> _Footprint | None:
         """Lengths of six parallel rays through the spot: its slant and curvature."""

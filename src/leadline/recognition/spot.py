@@ -48,12 +48,19 @@ class NoSpot:
     reason: str
 
 
-def find_spot(image: Image, curve_px: Array, shape_px2: Array, dark: Image | None = None) -> Spot | NoSpot:
+def find_spot(
+    image: Image,
+    curve_px: Array,
+    shape_px2: Array,
+    beam_px_m: Array | None = None,
+    dark: Image | None = None,
+) -> Spot | NoSpot:
     """The spot on a curve (K, 2) of an image, of about the shape (2, 2) px^2 (covariance of its light).
 
     image: (H, W, 3) BGR or (H, W) grey. curve: the beam's pixels where it may end, in order; NaN and outside ones are
-    skipped. dark: the same view without the laser (a pulsed laser's other frame), aligned to the image: then only what
-    the laser added counts.
+    skipped. beam_px_m: (2,) how far the beam's image runs in a metre of it, there; without, the water is taken as so
+    clear that the beam does not glow. dark: the same view without the laser (a pulsed laser's other frame), aligned to
+    the image: then only what the laser added counts.
     """
     sigma_px = sqrt(float(shape_px2[0, 0] + shape_px2[1, 1]) / 2)
     x, y = curve_px[:, 0], curve_px[:, 1]
@@ -70,7 +77,7 @@ def find_spot(image: Image, curve_px: Array, shape_px2: Array, dark: Image | Non
     for rise, q_px in places:
         if rise < RIVAL * best and found:
             break
-        fit = fit_spot(image, q_px, shape_px2, dark)
+        fit = fit_spot(image, q_px, shape_px2, beam_px_m, dark)
         reason = "no spot fits what stands out" if fit is None else _refused(fit, curve)
         if fit is not None and not reason:
             found.append(fit)

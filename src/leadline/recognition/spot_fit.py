@@ -11,12 +11,13 @@ loose on the bare surface around the spot, and what it makes of that widens the 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, hypot
+from math import ceil, exp, hypot, pi
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from leadline.recognition.spot_model import CENTRE, GLOW, HEIGHT, Beamed, Normal, blank, heights, solved
 from leadline.samples import Array, Image
 
 SATURATED = 245  # grey level; codecs put ripples of some levels on what was 255
@@ -27,13 +28,15 @@ SAMPLES = 2.5  # a larger spot is averaged until its sigma is about so many samp
 MAX_STEPS = 12
 SETTLED = 1e-2  # of a sigma: the last step leaves about its square
 HELD = 0.01  # of the form: first held to what is expected, relative (1 sigma), then let go
-LONGEST = np.array([0.7] * 5 + [np.inf] * 4)  # step, sigmas
+BLUR_PX2 = 0.3  # but nobody knows how sharp lens, water and pixels are: the variance of their blur, 1 sigma
 SHAPE_SIGMA = 0.5  # how far size and roundness may differ from what is expected, relative
 SUBSAMPLED_PX2 = 3.0  # video keeps colours at half the resolution: below this variance they help less
 
 GRAIN = 2.0  # grey levels of noise taken for granted in the mean over a spot of 2 px sigma
 FLOOR_PX = 0.01  # what no pixel tells: spots that are no Gaussians, codecs
 CUT_OFF = 0.003  # and where the top is cut off, this part of a sigma the more, the farther out the flanks
+GRID_PX = 0.2  # and what falls between the pixels: times exp(-(pi sigma)^2), for spots with a sigma below 0.6 px
+BEAM_END = 0.2  # how a beam ends on a surface is known to this part of a sigma, times how much it glows of the spot
 CRAMPED = 10.0  # what is taken where there is no room to measure it
 _MIN_PIXELS = 20
 
@@ -79,17 +82,21 @@ class _Solution:
     centre: Array  # (2,) in units of the expected sigma
     form: Array  # (2, 2) inverse covariance of the light there
     height: float
-    terms: Array  # (9, n) d(model)/d(parameter)
-    cov: Array  # (9, 9) as of white noise
+    glow: float
+    terms: Array  # (m, n) d(model)/d(parameter)
+    cov: Array  # (m, m) as of white noise
     noise2: float  # its variance
     height_sigma: float  # for a known place and form
     residual: float  # RMS
 
 
-def fit_spot(image: Image, start_px: Array, shape_px2: Array, dark: Image | None = None) -> SpotFit | None:
+def fit_spot(
+    image: Image, start_px: Array, shape_px2: Array, beam_px_m: Array | None = None, dark: Image | None = None
+) -> SpotFit | None:
     """The spot near ``start_px`` (2,) of about the shape ``shape_px2`` (2, 2); None where the fit does not settle.
 
-    image: (H, W, 3) BGR or (H, W) grey. dark: the same view without the laser, aligned; then the difference counts.
+    image: (H, W, 3) BGR or (H, W) grey. beam_px_m: (2,) how far the beam's image runs in a metre of it, away from the
+    laser; without, no glow is fitted. dark: the same view without the laser, aligned; then the difference counts.
     """
     root = _root(shape_px2)
     start_px, glare = _glare(image, start_px, np.sqrt(shape_px2.diagonal()))
@@ -98,26 +105,40 @@ def fit_spot(image: Image, start_px: Array, shape_px2: Array, dark: Image | None
         return None
     clear = window.inner.take(window.clear, axis=0)
     mix = _mix(window, clear, float(root[0, 0] * root[1, 1]))
-    found = _solve(window, clear @ mix)
+    beam = None if beam_px_m is None else Beamed.of(solved(root, beam_px_m))
+    held = max(HELD, BLUR_PX2 / float(root[0, 0] * root[1, 1]))
+    found = _solve(window, clear @ mix, beam, held)
     if found is None:
         return None
     growth = _growth(window, mix, found)
-    spread = _spread(window.u, found)
-    floor2 = FLOOR_PX**2 + (CUT_OFF * max(spread - 1.0, 0.0)) ** 2 * float(np.trace(shape_px2)) / 2
-    to_px = root @ found.cov[:2, :2] @ root.T
     light = _inverse(found.form)
     narrow, wide = np.sqrt(_axes(light))
+    spread = _spread(window.u, found)
+    to_px = root @ found.cov[:2, :2] @ root.T
     return SpotFit(
         q_px=start_px + root @ found.centre,
-        cov_px2=growth * to_px + floor2 * np.eye(2),
+        cov_px2=growth * to_px + _unseen(shape_px2, float(narrow * wide), spread, found, beam_px_m),
         shape_px2=root @ light @ root.T,
-        height=_heights(clear, found.terms[5:]),
+        height=heights(clear, found.terms[HEIGHT:]),
         snr=found.height / (found.height_sigma * float(np.sqrt(growth))),
         size=float(np.sqrt(narrow * wide)),
         roundness=float(narrow / wide),
         misfit=found.residual / abs(found.height),
         spread=spread,
     )
+
+
+def _unseen(shape_px2: Array, size2: float, spread: float, found: _Solution, beam_px_m: Array | None) -> Array:
+    """Covariance (2, 2) px^2 of what no pixel tells."""
+    variance = float(np.trace(shape_px2)) / 2
+    grid = GRID_PX * exp(-(pi**2) * min(size2, 4.0) * variance)
+    floor2 = FLOOR_PX**2 + grid**2 + (CUT_OFF * max(spread - 1.0, 0.0)) ** 2 * variance
+    unseen = floor2 * np.eye(2)
+    if beam_px_m is not None:
+        back = beam_px_m / hypot(*beam_px_m.tolist())
+        pull = BEAM_END * found.glow / max(found.height, 1.0)
+        unseen += pull**2 * float(back @ shape_px2 @ back) * np.outer(back, back)
+    return np.asarray(unseen)
 
 
 def _root(a: Array) -> Array:
@@ -137,11 +158,6 @@ def _axes(a: Array) -> tuple[float, float]:
     (p, q), (_, s) = a.tolist()
     apart = hypot((p - s) / 2, q)
     return (p + s) / 2 - apart, (p + s) / 2 + apart
-
-
-def _solved(a: Array, b: Array) -> Array:
-    """The solution (n,) or (n, k) of a x = b; OpenCV's takes a third of NumPy's time for matrices this small."""
-    return np.asarray(cv2.solve(a, b.reshape(len(b), -1))[1], np.float64).reshape(b.shape)
 
 
 def _cut(
@@ -256,7 +272,7 @@ def _mix(window: _Window, clear: Array, variance_px2: float) -> Array:
     weight = np.exp(-0.5 * window.r2.take(window.clear))
     spot = weight @ clear / weight.sum() - middle
     grain = GRAIN * 2 / max(variance_px2**0.5, 2.0)
-    mix = _solved(off.T @ off / len(off) + grain**2 * np.eye(channels), spot)
+    mix = solved(off.T @ off / len(off) + grain**2 * np.eye(channels), spot)
     if mix[1] <= 0:
         return np.array([0.0, 1.0, 0.0])
     mix /= mix[1]
@@ -264,23 +280,26 @@ def _mix(window: _Window, clear: Array, variance_px2: float) -> Array:
     return np.asarray(mix)
 
 
-def _solve(window: _Window, values: Array) -> _Solution | None:
-    """Least squares by Gauss-Newton: the centre with the expected form, then the form that the light really has.
+def _solve(window: _Window, values: Array, beam: Beamed | None, held: float) -> _Solution | None:
+    """Least squares by Gauss-Newton: the centre with about the expected form, then the form that the light really has.
 
     A form that is held costs the centre nothing, and a top that is cut off cannot bend it.
     """
     u, r2 = window.u, window.r2.take(window.clear)
-    terms = np.empty((9, len(values)))
-    terms[5], terms[6], terms[7:] = np.exp(-0.5 * r2), 1.0, u
-    theta = np.zeros(9)
-    theta[5:] = _heights(values, terms[5:])
+    terms = blank(u, r2, beam)
+    theta = np.zeros(len(terms))
+    theta[HEIGHT:GLOW] = heights(values, terms[HEIGHT:GLOW])
+    last = np.zeros(2)
     for _ in range(MAX_STEPS):
-        here = _Normal.at(theta, u, values, terms)
-        step, normal = here.step(HELD)
-        theta = theta + step
-        if max(abs(theta[:2])) > 3:
+        here = Normal.at(theta, u, values, terms, beam)
+        step, normal = here.step(held)
+        settled = max(abs(step[CENTRE])) < SETTLED
+        if not settled and float(step[CENTRE] @ last) < 0:
+            step *= 0.5  # to and fro between two pixels
+        theta, last = theta + step, step[CENTRE]
+        if max(abs(theta[CENTRE])) > 3:
             return None
-        if max(abs(step[:2])) < SETTLED:
+        if settled:
             break
     else:
         return None
@@ -288,18 +307,19 @@ def _solve(window: _Window, values: Array) -> _Solution | None:
     noise2 = float(bare @ bare) / len(bare) + 1e-3 if len(bare) >= _MIN_PIXELS else here.variance
     form, left = _form(here, u, values, terms.copy())
     return _Solution(
-        centre=theta[:2],
+        centre=theta[CENTRE],
         form=form,
-        height=float(theta[5]),
+        height=float(theta[HEIGHT]),
+        glow=0.0 if beam is None else max(float(theta[GLOW]), 0.0),
         terms=terms,
         cov=np.asarray(noise2 * cv2.invert(normal)[1]),
         noise2=noise2,
-        height_sigma=float(np.sqrt(noise2 / normal[5, 5])),
+        height_sigma=float(np.sqrt(noise2 / normal[HEIGHT, HEIGHT])),
         residual=left,
     )
 
 
-def _form(here: _Normal, u: Array, values: Array, terms: Array) -> tuple[Array, float]:
+def _form(here: Normal, u: Array, values: Array, terms: Array) -> tuple[Array, float]:
     """Inverse covariance (2, 2) of the light, and what it leaves unexplained (RMS); a sliver where it is no spot.
 
     Two steps, the first from where the last held one started, which was as good as settled.
@@ -309,67 +329,18 @@ def _form(here: _Normal, u: Array, values: Array, terms: Array) -> tuple[Array, 
         if not hypot(free[3], free[4]) < 0.95 * (1 + free[2]):
             return np.diag([1.0, 1e4]), here.variance**0.5
         if again:
-            here = _Normal.at(free, u, values, terms)
+            here = Normal.at(free, u, values, terms, here.beam)
     form = np.array([[1 + free[2] + free[3], free[4]], [free[4], 1 + free[2] - free[3]]])
     return form, here.variance**0.5
 
 
-@dataclass(frozen=True, slots=True)
-class _Normal:
-    """The normal equations at theta: centre (2), form (3), height and ground (3)."""
-
-    theta: Array  # (9,)
-    matrix: Array  # (9, 9)
-    pull: Array  # (9,)
-    residual: Array  # (n,)
-    variance: float
-
-    @classmethod
-    def at(cls, theta: Array, u: Array, values: Array, terms: Array) -> _Normal:
-        """The first six rows of ``terms`` are overwritten."""
-        _evaluate(theta, u, terms)
-        residual = values - theta[5:] @ terms[5:]
-        variance = float(residual @ residual) / max(len(values) - 9, 5) + 1e-3
-        matrix = terms @ terms.T
-        matrix.ravel()[::10] += 1e-9
-        return cls(theta, matrix, terms @ residual, residual, variance)
-
-    def step(self, form_sigma: float) -> tuple[Array, Array]:
-        """With the form held to what is expected by so much; and the matrix that holds it."""
-        hold = self.variance / form_sigma**2
-        matrix, pull = self.matrix.copy(), self.pull.copy()
-        matrix.ravel()[20:41:10] += hold
-        pull[2:5] -= hold * self.theta[2:5]
-        return np.minimum(np.maximum(_solved(matrix, pull), -LONGEST), LONGEST), matrix
-
-
-def _evaluate(theta: Array, u: Array, terms: Array) -> None:
-    """The model's derivatives by its first six parameters, in place; terms[5] is the Gaussian itself."""
-    cx, cy, size, stretch, skew, height = theta[:6].tolist()
-    off = u - np.array([[cx], [cy]])
-    by = np.array([[1 + size + stretch, skew], [skew, 1 + size - stretch]]) @ off
-    both = off * by
-    light = np.exp(-0.5 * (both[0] + both[1]))
-    np.multiply(by, height * light, out=terms[:2])
-    half = (-0.5 * height * light) * off
-    x2, y2 = half * off
-    np.add(x2, y2, out=terms[2])
-    np.subtract(x2, y2, out=terms[3])
-    np.multiply(half[0], 2 * off[1], out=terms[4])
-    terms[5] = light
-
-
-def _heights(values: Array, linear: Array) -> Array:
-    """Height and ground (4,) of values (n,), or the heights (C,) of (n, C), for a known place and form."""
-    fitted = _solved(linear @ linear.T, linear @ values)
-    return fitted if values.ndim == 1 else np.asarray(fitted[0])
-
-
 def _spread(u: Array, found: _Solution) -> float:
-    pull = found.terms[0] ** 2 + found.terms[1] ** 2
+    """Mean square distance from the centre of what fixed it: slopes of the spot's own light."""
     off = u - found.centre[:, None]
     off *= off
-    return float(pull @ off[0] + pull @ off[1]) / float(pull.sum()) / 2
+    r2 = off[0] + off[1]
+    pull = r2 * found.terms[HEIGHT] ** 2
+    return float(pull @ r2) / float(pull.sum()) / 2
 
 
 def _growth(window: _Window, mix: Array, found: _Solution) -> float:
