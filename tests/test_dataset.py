@@ -99,7 +99,7 @@ def test_of_frames_that_are_alike_one_is_drawn() -> None:
 def test_all_distances_are_drawn_alike() -> None:
     """Most frames show the target far away, few of them near: in the set both are as many."""
     frames = []
-    for k, side in enumerate([8] * 30 + [60] * 5):
+    for k, side in enumerate([8] * 30 + [60] * 7):
         image = texture(k)
         cv2.rectangle(image, (20, 10), (20 + side - 1, 10 + side - 1), (20, 30, 240), -1)
         frames.append(StereoFrame(k, image, image))
