@@ -68,6 +68,12 @@ class Target(Protocol):
         ...
 
 
+def range_with_sigma(target: Target, x: Array, cov: Array) -> tuple[float, float]:
+    """Distance to the nearest point of the surface and its sigma, m, of a target's vector with its covariance."""
+    distance, gradient = target.range(x)
+    return distance, float(np.sqrt(gradient @ cov @ gradient))
+
+
 @dataclass(frozen=True, slots=True)
 class Sphere:
     """A ball. Without a diameter the radius is estimated, from what is expected: a hand's width to a buoy's."""

@@ -40,7 +40,7 @@ from leadline.samples import (
     Stage,
     StereoFrame,
 )
-from leadline.target import Target
+from leadline.target import Target, range_with_sigma
 
 DISTANCES_M = (0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.2, 3.0, 4.0, 5.0)
 AIMED = "aimed"
@@ -135,8 +135,7 @@ class Rehearsal:
     def _range_sigma(self, one: Measurement) -> float:
         if one.kind is Kind.SPOT:
             return float(np.sqrt(one.cov[0, 0]))
-        _, gradient = self.target.range(one.z)
-        return float(np.sqrt(gradient @ one.cov @ gradient))
+        return range_with_sigma(self.target, one.z, one.cov)[1]
 
     def _reading(self, x: Array, t_ns: int) -> LaserRange | None:
         """The exact reading of a target at x; None where the beam misses it."""

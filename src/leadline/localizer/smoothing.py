@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from leadline.config import Config
 from leadline.estimation import Filter, FilterSettings
 from leadline.localizer.localizer import Localizer
 from leadline.recognition.finder import Finder
 from leadline.rig import Rig
 from leadline.samples import Array, Sample, Solution
-from leadline.target import Target
+from leadline.target import Target, range_with_sigma
 
 
 class SmoothingLocalizer(Localizer):
@@ -45,14 +43,14 @@ class SmoothingLocalizer(Localizer):
                 continue
             cov = estimate.cov.copy()
             cov[:3, :3] += common
-            range_m, gradient = self._target.range(estimate.x)
+            range_m, sigma_m = range_with_sigma(self._target, estimate.x, cov)
             result.append(
                 replace(
                     solution,
                     position_m=estimate.x[:3],
                     cov_m2=cov[:3, :3],
                     range_m=range_m,
-                    range_sigma_m=float(np.sqrt(gradient @ cov @ gradient)),
+                    range_sigma_m=sigma_m,
                     velocity_m_s=estimate.velocity_m_s,
                 )
             )
