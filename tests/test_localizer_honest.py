@@ -175,7 +175,7 @@ def test_laser_alone_for_three_seconds_keeps_the_range() -> None:
     assert np.abs(off).max() < 0.04
     assert np.abs(off).mean() < 0.02
     assert (np.abs(off) < 2 * sigma).all()
-    assert sigma.max() < 0.06
+    assert sigma.max() < 0.1  # one witness alone, for three seconds
     assert not [r for s in late for r in s.rejected if r.kind is Kind.LASER]
     sideways = [np.sqrt(np.linalg.eigvalsh(s.cov_m2)[-1]) for s in late if s.cov_m2 is not None]
     assert 0.03 < min(sideways) <= max(sideways) < 0.12
@@ -226,7 +226,7 @@ def test_pictures_that_stand_still_do_not_hold_the_target(noisy: bool) -> None:
     assert np.abs(off).max() < 0.05
     late = [s for s in solutions if s.t_s > last.t_s + 0.1]
     if noisy:
-        assert "disagrees while the laser agrees" in {r.reason for s in late for r in s.rejected}
+        assert "disagrees while all others agree" in {r.reason for s in late for r in s.rejected}
     else:
         assert {kind for s in late for kind in s.used} <= {Kind.LASER}
 

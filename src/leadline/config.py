@@ -119,6 +119,8 @@ class StatusConfig(Section):
     blind_after_s: float = Field(0.3, gt=0, description="a target not seen for so long may have gone aside")
     wander_m: float = Field(0.04, gt=0, description="how far an unseen target strays sideways: station keeping")
     drift_m_s: float = Field(0.01, ge=0, description="and how much more with every second")
+    alone_s: float = Field(3.0, ge=0, description="so long a target that one sensor alone speaks for is not yet valid")
+    alone_px: float = Field(1.0, ge=0, description="and then, how far the cameras may be out of place unnoticed")
     bias_px: float = Field(0.03, ge=0, description="matching error that no averaging removes")
     laser_bias_m: float = Field(0.0005, ge=0, description="laser error that no averaging removes")
 

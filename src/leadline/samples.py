@@ -115,6 +115,7 @@ class Measurement:
     ``predict`` takes the target's vector x = (position (3,), shape (k,)) and gives h(x) (m,) and its Jacobian
     (m, 3 + k), or None where x cannot give this measurement at all (the beam misses the target). ``common`` (m,): that
     part of ``cov`` which all measurements of an outline share, one sigma of it (all edges are found a little inside).
+    ``cameras``: those whose picture it hangs on; a spot or an outline that both show alike hangs on neither.
     """
 
     kind: Kind
@@ -123,6 +124,7 @@ class Measurement:
     cov: Array
     predict: Callable[[Array], tuple[Array, Array] | None]
     common: Array | None = None
+    cameras: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -48,15 +49,6 @@ class LaserSight:
             return np.array([self._laser.raw_m(length) if is_raw else length]), gain * gradient[None]
 
         return replace(measurement, predict=predict)
-
-    def surprise(self, reading: Measurement, before: Estimate) -> tuple[float, float]:
-        """How far a reading is off what was expected, m, and the variance of that; (0, 1) where nothing was."""
-        expected = reading.predict(before.x)
-        if expected is None:
-            return 0.0, 1.0
-        gain = self._laser.range_scale * self._laser.group_index
-        variance = float(expected[1][0] @ before.cov @ expected[1][0] + reading.cov[0, 0])
-        return float(reading.z[0] - expected[0][0]) / gain, variance / gain**2
 
     def aside(self, believed: Estimate) -> Aside:
         """What a beam tells of a target that is not seen."""
@@ -118,7 +110,14 @@ class LaserSight:
         if skew.dt_s and "right" in seen:
             length, gradient = self._lengths(x)
             seen["right"] = self._at_left_exposure(*seen["right"], length, gradient[:3], skew)
-        return [self._beam.spot(t_ns, seen)]
+        both = self._beam.spot(t_ns, seen)
+        if isinstance(both, Measurement) and len(seen) == 2:
+            return [both]
+        return [self._by_one_camera(t_ns, side, seen) for side in seen]  # alone, or they contradict each other
+
+    def _by_one_camera(self, t_ns: int, side: Side, seen: Mapping[Side, tuple[Array, Array]]) -> Measurement | Rejected:
+        spot = self._beam.spot(t_ns, {side: seen[side]})
+        return replace(spot, cameras=frozenset({side})) if isinstance(spot, Measurement) else spot
 
     def _at_left_exposure(
         self, q_px: Array, cov_px2: Array, length_m: float, gradient: Array, skew: Skew

@@ -19,11 +19,11 @@ from leadline.config import Config
 from leadline.estimation import Estimate, Filter, FilterSettings
 from leadline.localizer.agreement import Agreement
 from leadline.localizer.blind import held
-from leadline.localizer.doubt import SURPRISE, Doubt
 from leadline.localizer.expected import expected
 from leadline.localizer.laser import LaserSight
 from leadline.localizer.motion import as_of_target, skew_of, taken_ns
-from leadline.localizer.sight import VISION, Found, Sight
+from leadline.localizer.sight import VISION, Sight
+from leadline.localizer.witnesses import Witnesses
 from leadline.recognition.finder import Finder
 from leadline.recognition.track import Box, Track
 from leadline.recognition.view import WholeView
@@ -44,9 +44,10 @@ from leadline.samples import (
     StereoFrame,
     VehicleMotion,
 )
-from leadline.target import Surface, Target
+from leadline.target import Sphere, Surface, Target, range_with_sigma
 
 BEAM = frozenset({Kind.LASER, Kind.SPOT})
+STRANGE, SURPRISE = 30.0, 9.0  # an innovation's square, in its variance: about the filter's gate; 3 sigma
 
 
 class Localizer:
@@ -72,7 +73,9 @@ class Localizer:
         self._filter = Filter(FilterSettings(**self._config.filter.model_dump()))
         self._laser = None if rig.laser is None else LaserSight(rig, self._target, self._config)
         self._sight = Sight(rig, self._target, self._config, self._laser)
-        self._agreement, self._doubt = Agreement(), Doubt()
+        self._agreement = Agreement()
+        self._witnesses = Witnesses(self._target, self._config.filter.laser_clock_sigma_s)
+        self._strange: frozenset[Kind] = frozenset()  # kinds of the last frame that disagreed
         self._motion: VehicleMotion | None = None
         self._last_seen: Estimate | None = None
         self._last_frame: StereoFrame | None = None
@@ -105,13 +108,16 @@ class Localizer:
         found = self._sight.spot(frame, before, skew) if box is None else self._sight.measure(frame, box, before, skew)
         if self._laser is not None and not self._filtered:
             found += self._laser.near(taken_ns(frame))
-        self._compare(found)
         measurements = self._believable([one for one in found if isinstance(one, Measurement)], before)
         rejected = [one for one in found if isinstance(one, Rejected)]
+        now_ns = self._witnesses.now_ns(taken_ns(frame))
+        believed = self._estimate(now_ns)
         if not self._filter.alive and not self._start(taken_ns(frame), measurements):
             return self._solution(frame.t_ns, [], rejected)
         used, turned_away = self._add(taken_ns(frame), measurements, before)
-        self._look_back(taken_ns(frame), before, _positions(measurements), used)
+        self._hear(taken_ns(frame), measurements, now_ns, believed)
+        self._compare(measurements, used)
+        self._look_back(taken_ns(frame), used)
         return self._solution(frame.t_ns, used, rejected + turned_away)
 
     def _fresh(self, frame: StereoFrame) -> StereoFrame:
@@ -140,10 +146,35 @@ class Localizer:
             return None
         unseen = self._laser.aside(before) if self._blind(reading.t_ns) else None
         measurement = self._laser.take(reading, unseen)
+        now_ns = self._witnesses.now_ns(reading.t_ns)
+        believed = self._estimate(now_ns)
         used, rejected = self._filter.add(reading.t_ns, [measurement])
-        if unseen is not None:
-            self._doubt.read_blindly(*self._laser.surprise(measurement, before), taken=bool(used))
+        self._hear(reading.t_ns, [measurement], now_ns, believed)
         return self._solution(sample.t_ns, used, rejected)
+
+    def _hear(self, t_ns: int, found: Sequence[Measurement], now_ns: int, believed: Estimate | None) -> None:
+        """What the measurements of a time say of the filter's estimate, as it is now that it had them."""
+        self._witnesses.moved(now_ns, believed, self._filter.at(now_ns))
+        x = self._filter.at(t_ns)
+        slack_m2 = self._laser.aside(x).variance_m2 if self._laser is not None and self._blind(t_ns) else 0.0
+        for one in found:
+            said = self._witnesses.evidence(one, x, self._common_m2(one, x), slack_m2)
+            if said is not None:
+                self._witnesses.hear(said)
+
+    def _common_m2(self, one: Measurement, x: Estimate) -> float:
+        """The part of a measurement's variance, along the sight, that no averaging removes."""
+        if one.kind is Kind.LASER:
+            assert self._laser is not None
+            return self._config.status.laser_bias_m**2 + self._laser.calibration_variance_m2
+        distance, gradient = self._target.range(x.x)
+        calibration = float(gradient[:3] @ self._sight.calibration.at(x.x[:3]) @ gradient[:3])
+        if one.kind is Kind.STEREO:
+            return calibration + self._matching_bias_m(distance, self._config.status.bias_px) ** 2
+        return calibration if one.common is None else calibration + float(gradient @ one.common) ** 2
+
+    def _matching_bias_m(self, distance_m: float, bias_px: float) -> float:
+        return distance_m**2 * bias_px / (self._rig.focal_outside_px * self._rig.baseline_m)
 
     def _take_motion(self, sample: VehicleMotion) -> None:
         self._motion = sample
@@ -156,21 +187,25 @@ class Localizer:
         """What a user should know of this dive: laser and cameras that do not agree, a clock that is off."""
         return list(self._agreement.notices.values())
 
-    def _compare(self, found: Found) -> None:
-        """What the frame says of the beam's length: by its spot, else by the target where the beam meets it."""
-        seen = {one.kind: one for one in found if isinstance(one, Measurement)}
+    def _compare(self, found: Sequence[Measurement], used: Sequence[Kind]) -> None:
+        """What the frame says of the beam's length: by its spot, else by the target where the beam meets it.
+
+        The laser is not held against what was turned away.
+        """
         if self._laser is None:
             return
+        seen = {one.kind: one for one in found}
         lengths = [
-            self._laser.length_by(seen[kind], self._sight.calibration)
+            (kind, self._laser.length_by(seen[kind], self._sight.calibration))
             for kind in (Kind.SPOT, Kind.STEREO, Kind.SIZE)
             if kind in seen
         ]
-        known = [length for length in lengths if length is not None]
-        if known:
-            self._agreement.see(known[0])
-        if len(known) > 1 and Kind.SPOT in seen:
-            self._agreement.check(known[0], known[1])
+        known = [(kind, length) for kind, length in lengths if length is not None]
+        taken = [length for kind, length in known if kind in used]
+        if taken:
+            self._agreement.see(taken[0])
+        if len(known) > 1 and known[0][0] is Kind.SPOT:
+            self._agreement.check(known[0][1], known[1][1])
 
     def _estimate(self, t_ns: int) -> Estimate | None:
         return self._filter.at(t_ns) if self._filter.alive else None
@@ -188,24 +223,26 @@ class Localizer:
     def _add(
         self, t_ns: int, measurements: list[Measurement], before: Estimate | None
     ) -> tuple[list[Kind], list[Rejected]]:
-        """To the filter, but for positions that it would refuse while the laser speaks for it or nothing is detected.
+        """To the filter, but for positions that it would refuse while all others speak for it or nothing is detected.
 
         It begins anew with refused positions that agree with each other: so does what stands where the target was.
         """
-        withheld = self._doubt.withholds(t_ns, self._last_used.get(Kind.LASER))
-        if before is None or not (withheld or self._track.held):
-            return self._filter.add(t_ns, measurements)
-        why = "disagrees while the laser agrees" if withheld else "disagrees and is not detected"
-        strange = [one for one in _positions(measurements) if not self._agrees(one, before)]
-        used, rejected = self._filter.add(
-            t_ns, [one for one in measurements if all(one is not other for other in strange)]
-        )
-        return used, rejected + [Rejected(one.kind, t_ns, why) for one in strange]
+        strange = [] if before is None else [one for one in measurements if not self._agrees(one, before)]
+        self._strange = frozenset(one.kind for one in strange)
+        outvoted = bool(strange) and self._witnesses.blame(strange)
+        away = _positions(strange) if outvoted or self._track.held else []
+        why = "disagrees while all others agree" if outvoted else "disagrees and is not detected"
+        used, rejected = self._filter.add(t_ns, [one for one in measurements if all(one is not a for a in away)])
+        return used, rejected + [Rejected(one.kind, t_ns, why) for one in away]
 
     def _agrees(self, one: Measurement, before: Estimate) -> bool:
-        off = one.z[:3] - before.x[:3]
-        chi2 = float(off @ np.linalg.solve(one.cov[:3, :3] + before.cov[:3, :3], off))
-        return chi2 < SURPRISE  # stricter than the filter's gate: it has a contradiction to settle
+        """With what is believed; stricter than the filter's gate where there is a contradiction to settle."""
+        expected = one.predict(before.x)
+        if expected is None:
+            return True
+        off, H = one.z - expected[0], expected[1]
+        chi2 = float(off @ np.linalg.solve(one.cov + H @ before.cov @ H.T, off))
+        return chi2 < (SURPRISE if one.kind in self._strange else STRANGE)
 
     def _believable(self, measurements: list[Measurement], before: Estimate | None) -> list[Measurement]:
         """A spot on a target that is not seen itself tells a distance only."""
@@ -214,17 +251,11 @@ class Localizer:
         unseen = self._laser.aside(before)
         return [self._laser.blindly(one, unseen) for one in measurements]
 
-    def _look_back(
-        self, t_ns: int, before: Estimate | None, places: Sequence[Measurement], used: Sequence[Kind]
-    ) -> None:
+    def _look_back(self, t_ns: int, used: Sequence[Kind]) -> None:
         """Whether the target was seen where it was believed to be."""
         if VISION & set(used):
             self._last_seen = self._filter.at(t_ns)
-            self._doubt.settled()
             self._track.confirm(t_ns)
-        elif places and before is not None:
-            believed_m, seen_m = (self._target.range(x)[0] for x in (before.x, places[0].z))
-            self._doubt.seen_elsewhere(t_ns, seen_m - believed_m)
 
     def _blind(self, t_ns: int) -> bool:
         """Whether the target has not been seen for a while."""
@@ -236,7 +267,8 @@ class Localizer:
         self._last_used.clear()
         self._last_seen = None
         self._track.forget()
-        self._doubt.settled()
+        self._strange = frozenset()
+        self._witnesses.forget()
 
     def _expire(self, t_ns: int) -> None:
         """Give a target up that nothing was measured of for too long."""
@@ -268,23 +300,31 @@ class Localizer:
         turned_away = tuple(rejected)
         if not self._filter.alive or not self._last_used:
             self._filter.stop()
+            self._witnesses.forget()
             return Solution(t_ns, Stage.SEARCHING, Status.LOST, used=tuple(used), rejected=turned_away)
         estimate = self._filter.at(t_ns)
-        distance, gradient = self._target.range(estimate.x)
         cov = estimate.cov + self._systematic(estimate)
-        quiet_s = (t_ns - max(self._last_used.values())) / NS_PER_S
+        distance, sigma_m = range_with_sigma(self._target, estimate.x, cov)
+        status, quiet_s = self._config.status, (t_ns - max(self._last_used.values())) / NS_PER_S
+        waiting = self._unconfirmed_s is not None and self._unconfirmed_s < status.alone_s
         return Solution(
             t_ns=t_ns,
             stage=self._stage(t_ns),
-            status=Status.VALID if quiet_s <= self._config.status.coast_after_s else Status.COASTING,
+            status=Status.COASTING if waiting or quiet_s > status.coast_after_s else Status.VALID,
             position_m=estimate.x[:3],
             cov_m2=cov[:3, :3],
             range_m=distance,
-            range_sigma_m=float(np.sqrt(gradient @ cov @ gradient)),
+            range_sigma_m=sigma_m,
             velocity_m_s=estimate.velocity_m_s,
             used=tuple(used),
             rejected=turned_away,
         )
+
+    @property
+    def _unconfirmed_s(self) -> float | None:
+        """How long a second witness, which there may be, has been waited for; None where there is one or none to be."""
+        others = self._laser is not None or isinstance(self._target, Sphere)
+        return self._witnesses.alone_s if self._filtered and others else None
 
     def _recent(self, kinds: frozenset[Kind], t_ns: int) -> bool:
         limit = self._config.status.recent_s * NS_PER_S
@@ -299,15 +339,14 @@ class Localizer:
         """Errors common to all frames, the calibration's above all: they bound how certain averaging may become."""
         status, distance = self._config.status, float(np.linalg.norm(estimate.x[:3]))
         sight = estimate.x[:3] / distance
-        focal_px = self._rig.focal_outside_px
-        bias_m = distance**2 * status.bias_px / (focal_px * self._rig.baseline_m)
         calibration = self._sight.calibration.at(estimate.x[:3])
-        along = bias_m**2 + float(sight @ calibration @ sight)
+        bias_px = status.bias_px if self._unconfirmed_s is None else status.alone_px
+        along = self._matching_bias_m(distance, bias_px) ** 2 + float(sight @ calibration @ sight)
         if self._laser is not None and self._recent(BEAM, estimate.t_ns):  # two independent ways to the same distance
             along = 1 / (1 / along + 1 / (status.laser_bias_m**2 + self._laser.calibration_variance_m2))
             if self._blind(estimate.t_ns):
                 along += self._laser.aside(estimate).variance_m2
-        along += self._agreement.variance_m2 + self._doubt.variance_m2(estimate.t_ns)
+        along += max(self._agreement.variance_m2, self._witnesses.variance_m2())
         across = np.eye(3) - np.outer(sight, sight)
         common = np.zeros((len(estimate.x), len(estimate.x)))
         common[:3, :3] = across @ calibration @ across + along * np.outer(sight, sight)

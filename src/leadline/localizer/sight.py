@@ -16,11 +16,12 @@ from leadline.ranging.outline import OutlineRanger
 from leadline.ranging.stereo import Pair, Prior, StereoRanger
 from leadline.rig import Rig
 from leadline.samples import Array, Kind, Measurement, Rejected, StereoFrame
-from leadline.target import Sphere, Target
+from leadline.target import Sphere, Target, range_with_sigma
 
 POOR = 0.1  # a range less certain than this part of itself is no prediction
 FAR_SINE = 0.005  # of half the angle that a ball is seen under: smaller ones are not believed
 VISION = frozenset({Kind.STEREO, Kind.SIZE})
+BOTH = frozenset({"left", "right"})
 Found = list[Measurement | Rejected]
 
 
@@ -62,20 +63,22 @@ class Sight:
     def _prior(self, before: Estimate | None) -> Prior | None:
         if before is None:
             return None
-        guess = Prior(before.x, self._range_sigma(before.x, before.cov))
+        guess = Prior(before.x, range_with_sigma(self._target, before.x, before.cov)[1])
         return None if guess.range_sigma_m > POOR * np.linalg.norm(guess.x[:3]) else guess
 
     def _honest(self, measurement: Measurement, skew: Skew) -> Measurement:
         """What vision measures is no better than its calibration: it must not turn the laser away for that."""
         cov = measurement.cov.copy()
         cov[:3, :3] += self.calibration.at(measurement.z[:3])
-        return skew.widened(replace(measurement, cov=cov), self._rig, not isinstance(self._target, Sphere))
+        cameras = BOTH if measurement.kind is Kind.STEREO else measurement.cameras
+        honest = replace(measurement, cov=cov, cameras=cameras)
+        return skew.widened(honest, self._rig, not isinstance(self._target, Sphere))
 
     def _see(self, t_ns: int, pair: Pair, box: Box, guess: Prior | None) -> Found:
         """Outline, then stereo where that says; each helps the other where it fails. The first to hold leads."""
         size = self._trace(t_ns, pair, box, guess)
         if isinstance(size, Measurement) and guess is None:
-            guess = Prior(size.z, self._range_sigma(size.z, size.cov))
+            guess = Prior(size.z, range_with_sigma(self._target, size.z, size.cov)[1])
         stereo = self._stereo.measure(t_ns, pair, box, guess)
         if isinstance(stereo, Rejected) and not isinstance(size, Measurement) and guess is not None:
             stereo = self._stereo.measure(t_ns, pair, box, None)
@@ -110,7 +113,3 @@ class Sight:
             angle = float(np.arccos(np.clip(sides[0] @ sides[1], -1, 1))) / 2
             return float(self._target.diameter_m / 2 / max(np.sin(angle), FAR_SINE))
         return (self._laser.last_length_m() if self._laser is not None else None) or 1.0
-
-    def _range_sigma(self, x: Array, cov: Array) -> float:
-        _, gradient = self._target.range(x)
-        return float(np.sqrt(gradient @ cov @ gradient))

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -54,11 +55,21 @@ SLOPE = _slope()
 
 @dataclass(frozen=True, slots=True)
 class _Edges:
-    """Edge rays (M, 3), (M, 3) and the metres at the ball that a pixel is worth (M,)."""
+    """Edge rays (M, 3), (M, 3), the metres at the ball that a pixel is worth (M,), and the camera's number (M,)."""
 
     origins_m: Array
     directions: Array
     m_per_px: Array
+    camera: Array
+
+
+class Fitted(NamedTuple):
+    """The ball, its covariance (n, n), one sigma of an error common to all edges (blur, shading) (n,), its cameras."""
+
+    ball: Array
+    cov: Array
+    common: Array
+    cameras: frozenset[str]
 
 
 class OutlineRanger:
@@ -79,11 +90,11 @@ class OutlineRanger:
             found = found if isinstance(found, str) else self._settle(pair, sides, found[0], close)
         if isinstance(found, str):
             return Rejected(Kind.SIZE, t_ns, found)
-        ball, noise, common = found
+        ball, cov, common, cameras = found
         eye = np.eye(len(ball))
-        return Measurement(Kind.SIZE, t_ns, ball, noise + np.outer(common, common), lambda x: (x, eye), common)
+        return Measurement(Kind.SIZE, t_ns, ball, cov, lambda x: (x, eye), common, cameras)
 
-    def _settle(self, pair: Pair, sides: Sequence[Side], ball: Array, reach: float) -> tuple[Array, Array, Array] | str:
+    def _settle(self, pair: Pair, sides: Sequence[Side], ball: Array, reach: float) -> Fitted | str:
         """Fit until the normals start from where the ball is found, so that none is cut short."""
         for _ in range(PASSES):
             found = self._fit(self._edges(pair, sides, ball, reach), ball)
@@ -111,14 +122,15 @@ class OutlineRanger:
         x, y = contour[:, 0], contour[:, 1]
         inside = np.flatnonzero((x > low) & (x < right) & (y > low) & (y < bottom))  # not so where NaN
         if len(inside) < LEAST_EDGES:
-            return _Edges(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
+            return _Edges(np.empty((0, 3)), np.empty((0, 3)), np.empty(0), np.empty(0))
         lines = _beside(contour)[inside], normal[inside]
         step = BLUR_PER_STEP * max(LEAST_BLUR_PX, BLUR_RADII * size_px)
         steps = math.ceil(float(reach) / step)
         t_px = step * np.arange(-steps, steps + 1, dtype=np.float64)
         found, offset_px = _strongest(_profiles(image, *lines, t_px, size_px), t_px)
         kept = inside[found]
-        return _Edges(*rig.rays(contour[kept] + offset_px[:, None] * normal[kept], side), m_per_px[kept])
+        rays = rig.rays(contour[kept] + offset_px[:, None] * normal[kept], side)
+        return _Edges(*rays, m_per_px[kept], np.full(len(kept), SIDES.index(side)))
 
     def _contour(self, rig: Rig, ball: Array, side: Side) -> tuple[Array, Array, Array]:
         """Pixels (N, 2) of the ball's outline, outward normals (N, 2), and the metres (N,) that a pixel is worth."""
@@ -144,11 +156,8 @@ class OutlineRanger:
         gradient[:, :3] = aside / distance[:, None]
         return distance - self._target.radius_m(ball), gradient
 
-    def _fit(self, edges: _Edges, ball: Array) -> tuple[Array, Array, Array] | str:
-        """The ball, its noise (n, n), and what an error common to all edges (blur, shading) does to it (n,).
-
-        Gauss-Newton with Cauchy weights.
-        """
+    def _fit(self, edges: _Edges, ball: Array) -> Fitted | str:
+        """Gauss-Newton with Cauchy weights."""
         if len(edges.m_per_px) < self._settings.min_edges:
             return "too little outline"
         sigma = self._settings.edge_sigma_px * edges.m_per_px
@@ -168,13 +177,21 @@ class OutlineRanger:
                 return "no round outline"
             if abs(scale - before) < 0.01 * scale and np.abs(step).max() < SETTLED_M:
                 break
-        agreed = np.count_nonzero(np.abs(u) < AGREED_SIGMAS)
+        agreed = np.abs(u) < AGREED_SIGMAS
         axes = cv2.eigen(information)[1].ravel()  # the largest first
-        if agreed < max(self._settings.min_edges, MIN_AGREED * len(u)) or not axes[0] < MAX_CONDITION * axes[-1]:
+        if agreed.sum() < max(self._settings.min_edges, MIN_AGREED * len(u)) or not axes[0] < MAX_CONDITION * axes[-1]:
             return "no round outline"
         inverse = np.asarray(cv2.invert(information)[1], np.float64)
         common = inverse @ (weighted @ edges.m_per_px) * self._settings.bias_sigma_px
-        return ball, np.asarray(inverse * scale**2), common
+        cov = np.asarray(inverse * scale**2) + np.outer(common, common)
+        return Fitted(ball, cov, common, _hangs_on(edges.camera, agreed, self._settings.min_edges / 2))
+
+
+def _hangs_on(camera: Array, agreed: NDArray[np.bool_], least: float) -> frozenset[str]:
+    """The camera whose edges alone agree on the ball; none where those of both do, both where none's do."""
+    of = [camera == i for i in range(len(SIDES))]
+    good = [(agreed & one).sum() >= max(least, MIN_AGREED * one.sum()) for one in of]
+    return frozenset() if all(good) else frozenset(s for s, g in zip(SIDES, good, strict=True) if g or not any(good))
 
 
 def _median(values: Array) -> float:
