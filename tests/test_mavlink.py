@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 
 import numpy as np
@@ -20,11 +21,17 @@ from leadline.rig import Rig
 from leadline.samples import LaserRange, Solution, Stage, Status, VehicleMotion
 from leadline.sinks.mavlink import MavlinkSink
 from leadline.sources.clock import LiveClock
-from leadline.sources.mavlink import MavlinkMotion
+from leadline.sources.mavlink import MavlinkMotion, Mount
 from leadline.wire.mavlink import MavlinkLink, MotionReader
 from leadline.wire.mavlink_frames import BootClock, camera_motion, frd, ned_to_frd, orientation
 
 RIG = Rig.load("rendered")
+TINY = """
+name: tiny
+path: {start_m: 1.0, end_m: 0.8, speed_m_s: 0.25, dwell_s: 0.0}
+camera: {image_width_px: 320, rate_hz: 4.0}
+laser: {dropouts: 0.0}
+"""
 DOWNWARD = Pose([[0, -1, 0], [-1, 0, 0], [0, 0, -1]], [0.3, 0.0, -0.1])
 
 
@@ -48,6 +55,15 @@ class Ear:
         while len(heard) < count:
             heard += self._codec.parse_buffer(self.socket.recv(4096)) or []
         return {f"{m.get_type()} {getattr(m, 'name', '')}".strip(): m for m in heard}
+
+    def all(self, kind: str) -> list[common.MAVLink_message]:
+        """All that wait, of one type."""
+        self.socket.settimeout(0.2)
+        heard: list[common.MAVLink_message] = []
+        with contextlib.suppress(TimeoutError):
+            while True:
+                heard += self._codec.parse_buffer(self.socket.recv(4096)) or []
+        return [message for message in heard if message.get_type() == kind]
 
     def quiet(self) -> bool:
         self.socket.settimeout(0.1)
@@ -187,7 +203,7 @@ def test_motion_comes_over_the_link_and_garbage_does_not_matter() -> None:
     probe.bind(("127.0.0.1", 0))
     port = probe.getsockname()[1]
     probe.close()
-    part = MavlinkMotion(f"udpin:127.0.0.1:{port}", LiveClock(), FORWARD_LOOKING)
+    part = MavlinkMotion(f"udpin:127.0.0.1:{port}", LiveClock(), Mount())
     part.open()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
         codec = common.MAVLink(None, srcSystem=1, srcComponent=1)
@@ -203,4 +219,35 @@ def test_motion_comes_over_the_link_and_garbage_does_not_matter() -> None:
 @pytest.mark.parametrize("url", ["nonsense:1:2", "udpout:nowhere", "udpout:127.0.0.1:x", ""])
 def test_an_address_that_is_none(url: str) -> None:
     with pytest.raises(InputError, match="MAVLink"):
-        MavlinkLink(url).open()
+        MavlinkLink(url)
+
+
+def test_a_run_tells_the_autopilot_and_takes_what_it_says(tmp_path, ear) -> None:
+    """End to end: the dive's positions arrive, in the frame of the camera's place on the vehicle."""
+    from leadline.cli import main  # noqa: PLC0415
+
+    scenario = tmp_path / "tiny.yaml"
+    scenario.write_text(TINY)
+    assert (
+        main(
+            ["run", f"sim:{scenario}", "--target", "sphere:0.34", "--out", str(tmp_path / "run"), "--mavlink", ear.url]
+        )
+        == 0
+    )
+    rows = [line.split(",") for line in (tmp_path / "run" / "solutions.csv").read_text().splitlines()[1:]]
+    told = [row for row in rows if row[2] == "valid"]
+    heard = ear.all("LANDING_TARGET")
+    assert len(heard) >= len(told) > 0
+    last, x, y, z = heard[-1], *(float(v) for v in told[-1][3:6])
+    assert (last.x, last.y, last.z) == pytest.approx((z, x, y), abs=1e-4)
+
+
+def test_a_source_with_an_autopilot_knows_where_the_camera_sits(tmp_path) -> None:
+    from leadline.sources import open_source  # noqa: PLC0415
+    from leadline.sources.live import LiveSource  # noqa: PLC0415
+
+    source = open_source("mavlink:udpin:127.0.0.1:0")
+    assert isinstance(source, LiveSource)
+    assert np.array_equal(source.mount.T_body_left.R, FORWARD_LOOKING.R)
+    with pytest.raises(InputError, match="more than one mavlink"):
+        open_source("mavlink:udpin:127.0.0.1:1+mavlink:udpin:127.0.0.1:2")

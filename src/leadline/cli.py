@@ -117,7 +117,9 @@ def demo(
 
 @app.command()
 def run(
-    source: Annotated[str, typer.Argument(help="A dive folder, an .mcap file or sim:SCENARIO.")],
+    source: Annotated[
+        str, typer.Argument(help="A dive folder, an .mcap, sim:SCENARIO or live devices (docs/live.md).")
+    ],
     out: Annotated[Path, typer.Option(help="Folder for the solutions.")],
     rig: Annotated[str | None, typer.Option(help="Rig file or a shipped rig; default: the source's own.")] = None,
     target: Annotated[
@@ -138,6 +140,9 @@ def run(
     headless: Annotated[bool, typer.Option("--headless", help="Never open a window or a browser.")] = False,
     real_time: Annotated[bool, typer.Option("--real-time", help="At the dive's own pace.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of a simulation.")] = 0,
+    mavlink: Annotated[
+        str | None, typer.Option(metavar="URL", help="Tell an autopilot: udpout:HOST:PORT or /dev/ttyACM0?baud=115200.")
+    ] = None,
     provider: Annotated[ProviderName | None, typer.Option(help="What the detector runs on; default: cpu.")] = None,
     config: Annotated[Path | None, typer.Option(help="Settings (see `leadline config dump`).")] = None,
 ) -> None:
@@ -158,6 +163,7 @@ def run(
         smoothed=smooth,
         real_time=real_time,
         seed=seed,
+        mavlink=mavlink,
     )
     with progress("locating") as tick:
         report = run_job(job, out, record=record, progress=tick)

@@ -45,12 +45,17 @@ class Guidance:
     accurate: bool
 
 
-class Guide:
+def camera_on_body(rig: Rig) -> Pose:
     """``T_body_left`` of the rig; where that is unknown (identity), the camera is taken to look ahead."""
+    return FORWARD_LOOKING if _is_identity(rig.T_body_left) else rig.T_body_left
+
+
+class Guide:
+    """Turns solutions into guidance for the vehicle that carries the rig."""
 
     def __init__(self, rig: Rig, config: GuidanceConfig | None = None) -> None:
         self.config = config or GuidanceConfig()
-        self.T_body_left = FORWARD_LOOKING if _is_identity(rig.T_body_left) else rig.T_body_left
+        self.T_body_left = camera_on_body(rig)
 
     def of(self, solution: Solution) -> Guidance | None:
         """None while the target is lost."""

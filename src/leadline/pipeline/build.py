@@ -8,6 +8,7 @@ from typing import Literal, Protocol
 
 from leadline.config import Config
 from leadline.errors import InputError
+from leadline.guidance import Guide, camera_on_body
 from leadline.localizer import Localizer, SmoothingLocalizer
 from leadline.paper import PaperLocalizer
 from leadline.pipeline.watch import WatchedFinder
@@ -15,6 +16,7 @@ from leadline.recognition.boxes import Boxes
 from leadline.recognition.finder import Finder
 from leadline.rig import Rig, shipped_rigs
 from leadline.samples import Detection, Sample, Solution
+from leadline.sinks import Sink
 from leadline.sources import Source, open_source, require_size
 from leadline.sources.live import LiveSource
 from leadline.sources.simulated import SimulatedSource
@@ -47,6 +49,7 @@ class Job:
     seed: int
     filtered: bool = True
     detector: WatchedFinder | None = None
+    outputs: tuple[Sink, ...] = ()  # beside the run's folder; the run closes them
 
 
 def build_job(
@@ -63,6 +66,7 @@ def build_job(
     smoothed: bool = False,
     real_time: bool = False,
     seed: int = 0,
+    mavlink: str | None = None,
 ) -> Job:
     """Open and check everything that a run needs before it writes its first file. InputError says what is wrong."""
     if model is not None and boxes is not None:
@@ -72,6 +76,8 @@ def build_job(
     config = config or Config()
     source = open_source(spec, seed=seed, real_time=real_time)
     rig = _rig(source, rig_file, water_state)
+    if isinstance(source, LiveSource):
+        source.mount.T_body_left = camera_on_body(rig)
     require_size(rig, source)
     shape = _target(source, target)
     finder = _finder(shape, rig, model, boxes, config)
@@ -85,7 +91,18 @@ def build_job(
         seed=seed,
         filtered=filtered,
         detector=watched,
+        outputs=() if mavlink is None else (_mavlink(mavlink, rig, config),),
     )
+
+
+def _mavlink(url: str, rig: Rig, config: Config) -> Sink:
+    from leadline.sinks.mavlink import MavlinkSink  # noqa: PLC0415  an extra
+    from leadline.wire.mavlink import MavlinkLink  # noqa: PLC0415
+
+    try:
+        return MavlinkSink(MavlinkLink(url), Guide(rig, config.guidance))
+    except OSError as error:
+        raise InputError(f"cannot be opened ({error})", f"--mavlink {url}", "check the address or the port") from error
 
 
 def _rig(source: Source, rig_file: str | None, water_state: str | None) -> Rig:

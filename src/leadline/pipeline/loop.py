@@ -113,6 +113,10 @@ def _tracks(job: Job, out: Path, record: bool, stack: ExitStack, watch: Watch) -
         if main and record:
             sinks.append(McapSink(out / folder.RECORDING, job.rig, job.source.truth))
             stack.callback(sinks[1].close)
+        if main:
+            for sink in job.outputs:
+                sinks.append(sink)
+                stack.callback(sink.close)
         tracks.append(Track(name, localizer, [watch.outlet(sink) for sink in sinks], watch if main else None))
     return tracks
 

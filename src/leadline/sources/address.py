@@ -13,11 +13,12 @@ from urllib.parse import unquote
 
 from leadline.errors import InputError
 from leadline.sources.clock import LiveClock
+from leadline.sources.mavlink import MavlinkMotion, Mount
 from leadline.sources.part import LivePart
 
 CAMERA_OPTIONS = ("size", "fps", "exposure", "latency", "fourcc")
 LASER_OPTIONS = ("protocol", "baud", "latency")
-SCHEMES = ("uvc", "rtsp", "serial")
+SCHEMES = ("uvc", "rtsp", "serial", "mavlink")
 _Number = TypeVar("_Number", int, float)
 
 
@@ -25,19 +26,27 @@ def is_live(text: str) -> bool:
     return text.startswith(tuple(f"{scheme}:" for scheme in SCHEMES))
 
 
-def makers(text: str, clock: LiveClock) -> list[Callable[[], LivePart]]:
+def makers(text: str, clock: LiveClock, mount: Mount) -> list[Callable[[], LivePart]]:
     """For each part, what makes a new object of it; InputError for an address that is none."""
     found, kinds = [], []
     for part in re.split(rf"\+(?=(?:{'|'.join(SCHEMES)}):)", text):
         scheme, _, rest = part.partition(":")
-        make = _laser(rest, clock, part) if scheme == "serial" else _camera(scheme, rest, clock, part)
+        make, kind = _part(scheme, rest, clock, mount, part)
         make()  # complains at once
         found.append(make)
-        kinds.append("serial" if scheme == "serial" else "camera")
-    for kind in ("serial", "camera"):
+        kinds.append(kind)
+    for kind in ("serial", "camera", "mavlink"):
         if kinds.count(kind) > 1:
             raise InputError(f"more than one {kind}", text, "give one of each (two cameras: uvc:0,1)")
     return found
+
+
+def _part(scheme: str, rest: str, clock: LiveClock, mount: Mount, where: str) -> tuple[Callable[[], LivePart], str]:
+    if scheme == "serial":
+        return _laser(rest, clock, where), "serial"
+    if scheme == "mavlink":
+        return lambda: MavlinkMotion(rest, clock, mount), "mavlink"
+    return _camera(scheme, rest, clock, where), "camera"
 
 
 def _laser(rest: str, clock: LiveClock, where: str) -> Callable[[], LivePart]:

@@ -9,6 +9,7 @@ from leadline.samples import NS_PER_S, Sample, StereoFrame
 from leadline.sources.base import Source, frame_size
 from leadline.sources.clock import LiveClock
 from leadline.sources.inbox import Inbox, Item, Refused, Report
+from leadline.sources.mavlink import Mount
 from leadline.sources.part import LivePart
 from leadline.sources.supervisor import Supervisor
 from leadline.wire.notice import NoticeKind
@@ -26,9 +27,17 @@ class LiveSource(Source):
 
     live = True
 
-    def __init__(self, name: str, makers: Sequence[Callable[[], LivePart]], clock: LiveClock, *, frames: int = 2):
+    def __init__(
+        self,
+        name: str,
+        makers: Sequence[Callable[[], LivePart]],
+        clock: LiveClock,
+        *,
+        frames: int = 2,
+        mount: Mount | None = None,
+    ) -> None:
         super().__init__(name)
-        self.clock = clock
+        self.clock, self.mount = clock, mount or Mount()
         self.of: Source | None = None  # the dive that is given as live
         self._makers, self._frames = list(makers), frames
         self._inbox = Inbox(frames)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import ClassVar
 
 from leadline.geometry.pose import Pose
+from leadline.guidance import FORWARD_LOOKING
 from leadline.health import Part
 from leadline.sources.clock import LiveClock
 from leadline.sources.inbox import Item
@@ -15,16 +17,25 @@ from leadline.wire.mavlink import MavlinkLink, MotionReader
 WAIT_S = 0.2
 
 
+@dataclass(slots=True)
+class Mount:
+    """Where the camera sits on the vehicle: known when the rig is, which may be after the source was opened."""
+
+    T_body_left: Pose = FORWARD_LOOKING
+
+
 class MavlinkMotion(LivePart):
-    """url: as for ``--mavlink``. T_body_left: where the camera sits on the vehicle."""
+    """url: as for ``--mavlink``."""
 
     parts: ClassVar[tuple[Part, ...]] = ()
 
-    def __init__(self, url: str, clock: LiveClock, T_body_left: Pose) -> None:
+    def __init__(self, url: str, clock: LiveClock, mount: Mount) -> None:
         self.name = f"mavlink:{url}"
-        self._clock, self._reader, self._link = clock, MotionReader(T_body_left), MavlinkLink(url)
+        self._clock, self._mount, self._link = clock, mount, MavlinkLink(url)
+        self._reader = MotionReader(mount.T_body_left)
 
     def open(self) -> None:
+        self._reader = MotionReader(self._mount.T_body_left)
         try:
             self._link.open()
         except OSError as error:

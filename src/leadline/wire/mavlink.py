@@ -44,24 +44,25 @@ def _parser() -> Any:
 
 
 class MavlinkLink:
-    """url: as pymavlink has it: udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT, or a serial port (with baud=)."""
+    """url: as pymavlink has it: udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT, or a serial port (?baud=).
+
+    InputError for what is none.
+    """
 
     def __init__(self, url: str) -> None:
-        self.url = url
+        found = ADDRESS.fullmatch(url)
+        if found is None:
+            raise InputError("not a MAVLink address", url, "give udpout:HOST:PORT or /dev/ttyACM0?baud=115200")
+        self.url, self._name, self._baud = url, found["name"], int(found["baud"] or 115200)
         self._codec = _dialect().MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
         self._parser = _parser()
         self._port: Any = None
 
     def open(self) -> None:
-        """InputError where there is no such address; OSError where it cannot be opened."""
+        """OSError where it cannot be opened."""
         from pymavlink import mavutil  # noqa: PLC0415
 
-        found = ADDRESS.fullmatch(self.url)
-        if found is None:
-            raise InputError("not a MAVLink address", self.url, "give udpout:HOST:PORT or /dev/ttyACM0?baud=115200")
-        self._port = mavutil.mavlink_connection(
-            found["name"], baud=int(found["baud"] or 115200), source_system=SYSTEM, retries=1
-        )
+        self._port = mavutil.mavlink_connection(self._name, baud=self._baud, source_system=SYSTEM, retries=1)
 
     def send(self, messages: Iterable[Any]) -> None:
         for message in messages:
