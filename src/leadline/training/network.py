@@ -70,28 +70,45 @@ class Head(nn.Module):  # type: ignore[misc]  # torch is not typed here
         return self.score(x), self.sides(x).clamp(max=5.0).exp()
 
 
-class Network(nn.Module):  # type: ignore[misc]  # torch is not typed here
-    """Image (B, 3, H, W) RGB in 0..1, H and W multiples of 32 -> logits (B, N, classes), boxes (B, N, 4) x0 y0 x1 y1.
+class Plain(nn.Module):  # type: ignore[misc]  # torch is not typed here
+    """Backbone for training from scratch: image (B, 3, H, W) RGB in 0..1 -> features of strides 8, 16, 32."""
 
-    Pixels here are the network's, with (0, 0) at the outer corner of the first one.
-    """
+    channels = (64, 96, 128)
+    learnt: tuple[str, ...] = ()
 
-    def __init__(self, classes: int = 1) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.classes = classes
         self.stage4 = nn.Sequential(ConvBlock(3, 16, stride=2), ConvBlock(16, 32, stride=2), Residual(32))
         self.stage8 = nn.Sequential(ConvBlock(32, 64, stride=2), Residual(64), Residual(64))
         self.stage16 = nn.Sequential(ConvBlock(64, 96, stride=2), Residual(96), Residual(96))
         self.stage32 = nn.Sequential(ConvBlock(96, 128, stride=2), Residual(128), Residual(128), Context(128))
-        self.lateral8, self.lateral16, self.lateral32 = (ConvBlock(c, 48, 1) for c in (64, 96, 128))
+
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        f8 = self.stage8(self.stage4(image))
+        f16 = self.stage16(f8)
+        return f8, f16, self.stage32(f16)
+
+
+class Network(nn.Module):  # type: ignore[misc]  # torch is not typed here
+    """Image (B, 3, H, W) RGB in 0..1, H and W multiples of 32 -> logits (B, N, classes), boxes (B, N, 4) x0 y0 x1 y1.
+
+    Pixels here are the network's, with (0, 0) at the outer corner of the first one. ``backbone``: as ``Plain``.
+    ``learnt``: names of parameters that have been trained elsewhere and shall move slowly.
+    """
+
+    def __init__(self, classes: int = 1, backbone: nn.Module | None = None) -> None:
+        super().__init__()
+        self.classes = classes
+        self.backbone = backbone or Plain()
+        self.learnt = frozenset(f"backbone.{name}" for name in self.backbone.learnt)
+        self.lateral8, self.lateral16, self.lateral32 = (ConvBlock(c, 48, 1) for c in self.backbone.channels)
         self.smooth8, self.smooth16, self.smooth32 = (ConvBlock(48, 48) for _ in range(3))
         self.heads = nn.ModuleList(Head(48, classes) for _ in STRIDES)
 
     def levels(self, image: Tensor) -> list[Tensor]:
         """Features of strides 8, 16, 32, each with what the coarser levels know."""
-        f8 = self.stage8(self.stage4(image))
-        f16 = self.stage16(f8)
-        f32 = self.lateral32(self.stage32(f16))
+        f8, f16, f32 = self.backbone(image)
+        f32 = self.lateral32(f32)
         f16 = self.lateral16(f16) + functional.interpolate(f32, scale_factor=2.0, mode="nearest")
         f16 = self.smooth16(f16)
         f8 = self.lateral8(f8) + functional.interpolate(f16, scale_factor=2.0, mode="nearest")

@@ -19,6 +19,7 @@ from leadline.training.loss import detection_loss
 from leadline.training.network import STRIDES, Network, cell_centres
 
 KEPT_LONG_SIDE = 640  # larger images are kept at this size while training, unless told otherwise
+LEARNT_PACE = 0.2  # of the learning rate, for what has been trained elsewhere
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +96,7 @@ class Trainer:
         settings = self.settings
         place = self.steps if place is None else place
         for group in self._optimiser.param_groups:
-            group["lr"] = settings.learning_rate * _pace(place, settings)
+            group["lr"] = settings.learning_rate * _pace(place, settings) * group["pace"]
         plain = place >= settings.steps * (1 - settings.plain_end)
         images, boxes, names = draw_batch(self._rng, self._pools, settings, plain=plain)
         logits, predicted = self.network(images)
@@ -148,11 +149,16 @@ def _pace(step: float, settings: Settings) -> float:
     return 0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * part))
 
 
-def _groups(network: Network, decay: float) -> list[dict[str, object]]:
-    """Only weights of convolutions decay, not biases and normalisations."""
-    heavy = [p for p in network.parameters() if p.ndim > 1]
-    light = [p for p in network.parameters() if p.ndim <= 1]
-    return [{"params": heavy, "weight_decay": decay}, {"params": light, "weight_decay": 0.0}]
+def _groups(network: Network, decay: float) -> list[dict[str, Any]]:
+    """Only weights of convolutions decay, not biases and normalisations; what is learnt already moves slowly."""
+    groups: dict[tuple[bool, bool], list[Tensor]] = {}
+    for name, parameter in network.named_parameters():
+        if parameter.requires_grad:
+            groups.setdefault((parameter.ndim > 1, name in network.learnt), []).append(parameter)
+    return [
+        {"params": some, "weight_decay": decay * heavy, "pace": LEARNT_PACE if learnt else 1.0}
+        for (heavy, learnt), some in groups.items()
+    ]
 
 
 def _cells(images: Tensor) -> tuple[Tensor, Tensor]:
