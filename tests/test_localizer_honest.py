@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks import silent as benchmark
 
 from leadline.localizer import Localizer
 from leadline.rig import Rig
@@ -229,11 +228,3 @@ def test_pictures_that_stand_still_do_not_hold_the_target(noisy: bool) -> None:
         assert "disagrees while all others agree" in {r.reason for s in late for r in s.rejected}
     else:
         assert {kind for s in late for kind in s.used} <= {Kind.LASER}
-
-
-@pytest.mark.long
-def test_silent_errors_are_rare_in_forty_dives_that_go_wrong() -> None:
-    """Forty of `benchmarks.silent`. The aim is none, which is not reached: docs/measurements.md has the count."""
-    results = [r for number in range(40) for r in benchmark.solve_all_draws(number, [0], None)]
-    assert sum(len(result.silent_s) for result in results) < 0.015 * sum(len(result.error_m) for result in results)
-    assert sum(bool(result.silent_s) for result in results) <= 6
