@@ -27,6 +27,7 @@ class StereoFrame:
     and ``right_t_ns`` are set where the two exposures are known to differ; what is measured is then measured at
     ``left_t_ns``, while ``t_ns`` names the frame and its solution. Images: (H, W, 3) uint8 BGR or (H, W) uint8.
     ``encoded`` holds the source's own compressed bytes (left, right), so that a recording is bit for bit the source.
+    ``laser_on``: whether the laser shone (a pulsed one, switched from frame to frame); None: nobody says.
     """
 
     t_ns: int
@@ -37,6 +38,7 @@ class StereoFrame:
     right_t_ns: int | None = None
     name: str = ""  # the left image's file name, the key of `--boxes`
     encoded: tuple[bytes, bytes] | None = None
+    laser_on: bool | None = None
 
     @property
     def t_s(self) -> float:

@@ -13,12 +13,15 @@ from leadline.estimation import Estimate
 from leadline.localizer.agreement import Length
 from leadline.localizer.blind import Aside
 from leadline.localizer.motion import Skew
-from leadline.ranging.beam import BeamRanger
+from leadline.ranging.beam import BeamRanger, Sought
 from leadline.ranging.calibration_error import CalibrationError
-from leadline.recognition.spot import Spot, find_spot
+from leadline.recognition.dark import aligned, around
+from leadline.recognition.spot import NoSpot, Spot, find_spot
 from leadline.rig import Rig, Side
 from leadline.samples import NS_PER_S, Array, Image, Kind, LaserRange, Measurement, Rejected, StereoFrame
 from leadline.target import Target
+
+DARK_AGE_S = 0.3  # of the frame without the laser, to be subtracted
 
 
 class LaserSight:
@@ -29,6 +32,7 @@ class LaserSight:
         self._rig, self._target, self._config, self._laser = rig, target, config, rig.laser
         self._beam = BeamRanger(rig, target, config.beam)
         self._readings: deque[LaserRange] = deque(maxlen=32)
+        self._dark: StereoFrame | None = None
         self.calibration_variance_m2 = self._beam.calibration_variance_m2
 
     def take(self, sample: LaserRange, unseen: Aside | None) -> Measurement:
@@ -92,7 +96,10 @@ class LaserSight:
         return [self._beam.reading(near, self._config.filter.initial_speed_m_s * float(late_s))]
 
     def spot(self, frame: StereoFrame, t_ns: int, x: Array, skew: Skew) -> list[Measurement | Rejected]:
-        """The spot, where the target as known so far would show it."""
+        """The spot, where the target as known so far would show it; a frame without the laser is kept for the next."""
+        if frame.laser_on is False:
+            self._dark = frame
+            return []
         sought = self._beam.sought(x)
         if sought is None:
             return []
@@ -100,7 +107,7 @@ class LaserSight:
         missing: dict[str, None] = {}
         sides: tuple[tuple[Side, Image], ...] = (("left", frame.left), ("right", frame.right))
         for side, image in sides:
-            found = find_spot(image, sought[side].curve_px, sought[side].shape_px2, sought[side].beam_px_m)
+            found = self._find(image, sought[side], self._dark_for(frame, side))
             if isinstance(found, Spot):
                 seen[side] = sought[side].middle(found.q_px, found.spread), found.cov_px2
             else:
@@ -118,6 +125,23 @@ class LaserSight:
     def _by_one_camera(self, t_ns: int, side: Side, seen: Mapping[Side, tuple[Array, Array]]) -> Measurement | Rejected:
         spot = self._beam.spot(t_ns, {side: seen[side]})
         return replace(spot, cameras=frozenset({side})) if isinstance(spot, Measurement) else spot
+
+    def _dark_for(self, frame: StereoFrame, side: Side) -> Image | None:
+        """The other frame's picture, where one without the laser was taken just before."""
+        dark = self._dark
+        if not frame.laser_on or dark is None or abs(frame.t_ns - dark.t_ns) > DARK_AGE_S * NS_PER_S:
+            return None
+        return dark.left if side == "left" else dark.right
+
+    @staticmethod
+    def _find(image: Image, sought: Sought, dark: Image | None) -> Spot | NoSpot:
+        part = None if dark is None or dark.shape != image.shape else around(sought.curve_px, image.shape[:2])
+        if dark is None or part is None:
+            return find_spot(image, sought.curve_px, sought.shape_px2, sought.beam_px_m)
+        corner_px = np.array([part[1].start, part[0].start], float)
+        bare = aligned(dark[part], image[part])
+        found = find_spot(image[part], sought.curve_px - corner_px, sought.shape_px2, sought.beam_px_m, bare)
+        return replace(found, q_px=found.q_px + corner_px) if isinstance(found, Spot) else found
 
     def _at_left_exposure(
         self, q_px: Array, cov_px2: Array, length_m: float, gradient: Array, skew: Skew

@@ -78,7 +78,7 @@ def find_spot(
         if rise < RIVAL * best and found:
             break
         fit = fit_spot(image, q_px, shape_px2, beam_px_m, dark)
-        reason = "no spot fits what stands out" if fit is None else _refused(fit, curve)
+        reason = "no spot fits what stands out" if fit is None else _refused(fit, curve, image.shape)
         if fit is not None and not reason:
             found.append(fit)
         else:
@@ -99,7 +99,7 @@ def greenness(image: Image) -> Array:
     return np.asarray(green - 0.25 * (blue + red))
 
 
-def _refused(fit: SpotFit, curve: Array) -> str:
+def _refused(fit: SpotFit, curve: Array, shape: tuple[int, ...]) -> str:
     """The gate that a fitted candidate fails, in plain words; '' where it passes all."""
     beside = BAND_PX + 3 * sqrt(float(fit.cov_px2[0, 0] + fit.cov_px2[1, 1]))
     others = fit.height[[0, 2]].max() if len(fit.height) == 3 else 0.0
@@ -111,9 +111,15 @@ def _refused(fit: SpotFit, curve: Array) -> str:
         "what stands out is too large for the spot": fit.size < SIZES[1],
         "what stands out is not round": fit.roundness > ROUNDNESS,
         "what stands out has another profile than a spot": fit.misfit < MISFIT,
+        "what stands out is cut by the picture's border": _inside(fit.q_px, shape),
         "what stands out is beside the beam": _aside(fit.q_px, curve) < beside,
     }
     return next((reason for reason, passed in gates.items() if not passed), "")
+
+
+def _inside(q_px: Array, shape: tuple[int, ...]) -> bool:
+    x, y = q_px.tolist()
+    return 0 <= x <= shape[1] - 1 and 0 <= y <= shape[0] - 1
 
 
 def _aside(q_px: Array, curve: Array) -> float:

@@ -146,21 +146,24 @@ class SimulatedDive:
     ) -> StereoFrame:
         part = self.scenario.camera
         left_ns, right_ns = instant.t_ns, instant.t_ns + round(part.skew_s * NS_PER_S)
+        shines = not (self.scenario.laser.alternates and number % 2)
 
         def render(side: int) -> tuple[Any, Box | None]:
             noise = np.random.SeedSequence((*_words(self._noise_seed), number, side))
             view = self._view((left_ns, right_ns)[side] / NS_PER_S)
+            view = view if shines else dataclasses.replace(view, beam=None)
             return eyes[side].render(self._scene, view, snow, np.random.default_rng(noise))
 
         (left, box_left), (right, box_right) = pool.map(render, (0, 1))
         name = f"left_{number:05d}.png"
         truth = self.truth_at(left_ns)
         velocity = _vector(self.velocity_m_s(left_ns))
-        spot = self._spot(left_ns)
+        spot = self._spot(left_ns) if shines else None
         frame_truth = FrameTruth(left_ns, name, truth.position_m, truth.range_m, velocity, box_left, box_right, spot)
         self.details["frames"].append(asdict(frame_truth))
         told = (left_ns, right_ns) if part.skew_s and part.skew_known else (None, None)
-        return StereoFrame(left_ns, left, right, instant.arrival_ns, told[0], told[1], name)
+        laser_on = shines if self.scenario.laser.alternates else None
+        return StereoFrame(left_ns, left, right, instant.arrival_ns, *told, name, laser_on=laser_on)
 
     def _view(self, t_s: float) -> View:
         T = self._motion.pose(t_s)

@@ -123,6 +123,7 @@ class LaserPart(_Part):
         default=0.0, ge=0, le=5, description="rate of false returns from the water, 1/m at c = 1/m"
     )
     spot_diameter_m: float = Field(default=0.006, gt=0, le=0.1, description="where the light falls to 1/e^2")
+    alternates: bool = Field(default=False, description="shines in every second frame only, from the first on")
     power: float = Field(default=20.0, ge=0, le=1000, description="light in the spot's middle, against daylight")
 
 

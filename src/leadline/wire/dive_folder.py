@@ -37,6 +37,7 @@ class FrameEntry:
     arrival_ns: int | None
     left_t_ns: int | None
     right_t_ns: int | None
+    laser_on: bool | None = None
 
     def load(self) -> StereoFrame:
         """Read the images. Raises ValueError with the file and what is the matter with it."""
@@ -48,9 +49,8 @@ class FrameEntry:
             (left_bytes, left), (right_bytes, right) = contents
             encoded = (left_bytes, right_bytes)
         require_same_size(left, right)
-        return StereoFrame(
-            self.t_ns, left, right, self.arrival_ns, self.left_t_ns, self.right_t_ns, name=self.name, encoded=encoded
-        )
+        times = self.arrival_ns, self.left_t_ns, self.right_t_ns
+        return StereoFrame(self.t_ns, left, right, *times, self.name, encoded, self.laser_on)
 
 
 def split_side_by_side(image: Image) -> tuple[Image, Image]:
@@ -103,7 +103,15 @@ def _frame_entry(folder: Path, row: Row) -> FrameEntry:
         row.optional_stamp("t_arrival_s"),
         row.optional_stamp("t_left_s"),
         row.optional_stamp("t_right_s"),
+        _switch(row, "laser_on"),
     )
+
+
+def _switch(row: Row, column: str) -> bool | None:
+    cell = (row.cells.get(column) or "").strip()
+    if cell not in {"", "0", "1"}:
+        raise ValueError(f"{column} is {cell}, not 0 or 1")
+    return None if cell == "" else cell == "1"
 
 
 def read_laser(folder: Path, tell: Tell) -> list[tuple[str, LaserRange]]:

@@ -50,13 +50,15 @@ def write_dive(
         else:
             names = _write_images(folder, len(frames), sample, images)
             times = [_stamp(t_ns) for t_ns in (sample.arrival_ns, sample.left_t_ns, sample.right_t_ns)]
-            frames.append([format_stamp(sample.t_ns), *names, *times])
-    _write_full_columns(folder / "frames.csv", ("t_s", "left", "right", *_FRAME_TIMES), frames, required=3)
+            switch = "" if sample.laser_on is None else str(int(sample.laser_on))
+            frames.append([format_stamp(sample.t_ns), *names, *times, switch])
+    header = ("t_s", "left", "right", *_FRAME_TIMES, "laser_on")
+    _write_full_columns(folder / "frames.csv", header, frames, required=3)
     if readings:
         _write_full_columns(folder / "laser.csv", ("t_s", "range_m", "t_arrival_s", "quality"), readings, required=2)
     if motions:
-        header = ("t_s", *VELOCITY, *ROTATION, *MOTION_SIGMAS, "t_arrival_s")
-        _write_full_columns(folder / "motion.csv", header, motions, required=1)
+        columns = ("t_s", *VELOCITY, *ROTATION, *MOTION_SIGMAS, "t_arrival_s")
+        _write_full_columns(folder / "motion.csv", columns, motions, required=1)
     if truth:
         write_truth(folder / "truth.csv", truth)
     if details:
