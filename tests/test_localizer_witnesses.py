@@ -112,19 +112,20 @@ def measurement(kind: Kind, cameras: frozenset[str] = frozenset()) -> Measuremen
     return Measurement(kind, 0, np.array([0.0, 0.0, 1.5]), 1e-6 * np.eye(3), straight, cameras=cameras)
 
 
-def test_a_contradiction_is_blamed_on_one_suspect_while_all_others_speak_for_the_filter() -> None:
+def test_a_contradiction_is_blamed_on_one_suspect_while_another_speaks_for_the_filter() -> None:
     stereo, size = measurement(Kind.STEREO, frozenset({"left", "right"})), measurement(Kind.SIZE)
     right_alone = measurement(Kind.SPOT, frozenset({"right"}))
     dive = agreeing()
-    assert dive.witnesses.blame([stereo])
-    assert dive.witnesses.blame([stereo, right_alone])  # the right camera is behind both
-    assert dive.witnesses.blame([stereo, size])  # pictures, against the laser
-    dive.instant(said(Kind.LASER, 0.1, 0.003))
-    assert not dive.witnesses.blame([stereo, size])  # but not where that, too, says otherwise: the filter is wrong
-    dive = agreeing()
+    assert dive.witnesses.blame([stereo], [])
+    assert dive.witnesses.blame([stereo, right_alone], [])  # the right camera is behind both
+    assert dive.witnesses.blame([stereo, size], [])  # pictures, against the laser
     for _ in range(15):
         dive.instant()
-    assert not dive.witnesses.blame([stereo])  # nobody has spoken for it lately
+    assert not dive.witnesses.blame([stereo], [])  # the laser has been silent
+    assert dive.witnesses.blame([stereo], [size])  # but the same frame's outline agrees
+    assert not dive.witnesses.blame([stereo, size], [])  # nobody is left
+    dive.instant(said(Kind.LASER, 0.3, 0.003))
+    assert not dive.witnesses.blame([stereo], [])  # the laser says so, too: the filter is wrong
 
 
 def test_who_is_alone_is_told_until_another_confirms() -> None:

@@ -228,8 +228,9 @@ class Localizer:
         It begins anew with refused positions that agree with each other: so does what stands where the target was.
         """
         strange = [] if before is None else [one for one in measurements if not self._agrees(one, before)]
+        others = [one for one in measurements if all(one is not s for s in strange)]
         self._strange = frozenset(one.kind for one in strange)
-        outvoted = bool(strange) and self._witnesses.blame(strange)
+        outvoted = bool(strange) and self._witnesses.blame(strange, others)
         away = _positions(strange) if outvoted or self._track.held else []
         why = "disagrees while all others agree" if outvoted else "disagrees and is not detected"
         used, rejected = self._filter.add(t_ns, [one for one in measurements if all(one is not a for a in away)])

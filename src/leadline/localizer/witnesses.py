@@ -19,10 +19,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import sqrt
 
-import numpy as np
-
 from leadline.estimation import Estimate
-from leadline.samples import NS_PER_S, Array, Kind, Measurement
+from leadline.samples import NS_PER_S, Kind, Measurement
 from leadline.target import Target
 
 METHOD = {Kind.LASER: "laser", Kind.SPOT: "spot", Kind.STEREO: "stereo", Kind.SIZE: "outline"}
@@ -56,88 +54,100 @@ class Evidence:
 
 @dataclass(slots=True)
 class Account:
-    """What is said without one suspect: offset and its rate (2,) from the filter's distance, covariance (2, 2)."""
+    """What is said without one suspect: how far off the filter's distance (m), its rate (m/s), and their covariance.
 
-    off: Array | None = None
-    P: Array = field(default_factory=lambda: np.zeros((2, 2)))
+    Plain numbers: a matrix of four takes NumPy ten times as long.
+    """
+
+    begun: bool = False
+    off_m: float = 0.0
+    _rate_m_s: float = 0.0
+    variance_m2: float = 0.0
+    _mixed: float = 0.0
+    _rate_variance: float = 0.0
     _discredited_ns: int = 0  # until then
     _taken: dict[Kind, int] = field(default_factory=dict)  # when
     _refused: dict[Kind, list[tuple[int, float]]] = field(default_factory=dict)  # when, how far off; those in a row
 
     def go_on(self, dt_s: float) -> None:
-        if self.off is not None:
-            F = np.array([[1.0, dt_s], [0.0, 1.0]])
-            self.off, self.P = F @ self.off, F @ self.P @ F.T
+        self.off_m += dt_s * self._rate_m_s
+        self.variance_m2 += dt_s * (2 * self._mixed + dt_s * self._rate_variance)
+        self._mixed += dt_s * self._rate_variance
 
-    def filter_moved(self, by: Array) -> None:
-        """The filter was corrected by (m, m/s), on whose word ever."""
-        self.P = self.P + np.outer(by, by)
+    def filter_moved(self, by_m: float, by_m_s: float) -> None:
+        """The filter was corrected, on whose word ever."""
+        self.variance_m2 += by_m**2
+        self._mixed += by_m * by_m_s
+        self._rate_variance += by_m_s**2
 
     def hear(self, said: Evidence, now_ns: int) -> None:
-        if self.off is None:
+        if not self.begun:
             self._begin(said)
             return
-        surprise = said.off_m - float(self.off[0])
-        total = float(self.P[0, 0]) + said.variance_m2
+        surprise = said.off_m - self.off_m
+        total = self.variance_m2 + said.variance_m2
         if surprise**2 > GATE * total:
-            row = self._refused.setdefault(said.kind, [])
-            row.append((now_ns, said.off_m))
-            others = [t_ns for kind, t_ns in self._taken.items() if kind is not said.kind]
-            if self._insists(row, said.variance_m2) and now_ns - max(others, default=0) > LASTS_NS:
-                self._begin(said)
-                self._discredited_ns = now_ns + DISCREDITED_NS
+            self._refuse(said, now_ns)
             return
         self._refused.pop(said.kind, None)
         self._taken[said.kind] = now_ns
-        least = min(float(self.P[0, 0]), said.common_m2)
-        gain = self.P[:, 0] / total
-        self.off = self.off + gain * surprise
-        self.P = self.P - np.outer(gain, self.P[0])
-        self.P[0, 0] = max(self.P[0, 0], least)
+        least = min(self.variance_m2, said.common_m2)
+        gain, rate_gain = self.variance_m2 / total, self._mixed / total
+        self.off_m += gain * surprise
+        self._rate_m_s += rate_gain * surprise
+        self._rate_variance -= rate_gain * self._mixed
+        self._mixed -= rate_gain * self.variance_m2
+        self.variance_m2 = max((1 - gain) * self.variance_m2, least)
 
-    @staticmethod
-    def _insists(row: list[tuple[int, float]], variance_m2: float) -> bool:
-        """Whether the last two of those refused lead to one another."""
-        if len(row) < 2:
-            return False
-        (t0_ns, off0_m), (t1_ns, off1_m) = row[-2:]
-        return (off1_m - off0_m) ** 2 < GATE * (2 * variance_m2 + (SPEED_M_S * (t1_ns - t0_ns) / NS_PER_S) ** 2)
+    def _refuse(self, said: Evidence, now_ns: int) -> None:
+        """Begin again with it where it insists and no other has spoken for the account lately."""
+        row = self._refused[said.kind] = [*self._refused.get(said.kind, [])[-1:], (now_ns, said.off_m)]
+        others = [t_ns for kind, t_ns in self._taken.items() if kind is not said.kind]
+        if now_ns - max(others, default=0) > LASTS_NS and _lead_on(row, said.variance_m2):
+            self._begin(said)
+            self._discredited_ns = now_ns + DISCREDITED_NS
 
     def _begin(self, said: Evidence) -> None:
-        self.off, self.P = np.array([said.off_m, 0.0]), np.diag([said.variance_m2, SPEED_M_S**2])
+        self.begun, self.off_m, self._rate_m_s = True, said.off_m, 0.0
+        self.variance_m2, self._mixed, self._rate_variance = said.variance_m2, 0.0, SPEED_M_S**2
 
-    @property
-    def contradicted_m(self) -> float:
-        """How far off the filter those see the target whom the account has refused twice or more; 0: nobody."""
-        return max((abs(row[-1][1]) for row in self._refused.values() if len(row) > 1), default=0.0)
+    def contradicted_m(self, now_ns: int) -> float:
+        """How far off the filter those see the target whom the account has refused twice; 0: nobody."""
+        rows = [row for row in self._refused.values() if len(row) > 1 and now_ns - row[-1][0] <= DISCREDITED_NS]
+        return max((abs(row[-1][1]) for row in rows), default=0.0)
 
     def in_harmony(self, now_ns: int) -> bool:
         """Whether it has all its witnesses for it, and has had for a while."""
-        return self.contradicted_m == 0 and now_ns >= self._discredited_ns
+        return self.contradicted_m(now_ns) == 0 and now_ns >= self._discredited_ns
 
     def speaks_for_filter(self, now_ns: int) -> bool:
-        """Whether all its witnesses, the last of them lately, agree with it, and it with the filter."""
-        if self.off is None or self._refused or not self.in_harmony(now_ns) or self.apart:
-            return False
-        return bool(self._taken) and now_ns - max(self._taken.values()) <= LASTS_NS
+        """Whether all its witnesses agree with it, and it with the filter."""
+        return bool(self._taken) and not self._refused and self.in_harmony(now_ns) and not self.apart
+
+    def taken_lately(self, kind: Kind, now_ns: int) -> bool:
+        return kind in self._taken and now_ns - self._taken[kind] <= LASTS_NS
 
     @property
     def apart(self) -> bool:
         """Whether it is off the filter for sure."""
-        assert self.off is not None
-        return float(self.off[0] ** 2) > APART**2 * float(self.P[0, 0])
+        return self.off_m**2 > APART**2 * self.variance_m2
 
     @property
     def allowed_m(self) -> float:
         """How far off the filter the target may be by this account."""
-        assert self.off is not None
-        return abs(float(self.off[0])) + SURE * sqrt(float(self.P[0, 0]))
+        return abs(self.off_m) + SURE * sqrt(self.variance_m2)
 
-    @property
-    def square_m2(self) -> float:
-        """How far off the filter it is expected to be."""
-        assert self.off is not None
-        return float(self.off[0] ** 2 + self.P[0, 0])
+    def expected_m2(self, now_ns: int) -> float:
+        """How far off the filter the target is expected to be, by the account or by whom it has refused; squared."""
+        return max(self.off_m**2 + self.variance_m2, self.contradicted_m(now_ns) ** 2)
+
+
+def _lead_on(row: Sequence[tuple[int, float]], variance_m2: float) -> bool:
+    """Whether the last two of those refused lead to one another."""
+    if len(row) < 2:
+        return False
+    (t0_ns, off0_m), (t1_ns, off1_m) = row[-2:]
+    return (off1_m - off0_m) ** 2 < GATE * (2 * variance_m2 + (SPEED_M_S * (t1_ns - t0_ns) / NS_PER_S) ** 2)
 
 
 class Witnesses:
@@ -165,10 +175,10 @@ class Witnesses:
         self._now_ns = now_ns
         if before is None:
             return
-        by = np.subtract(self._distance_and_speed(after), self._distance_and_speed(before))
+        (m, m_s), (was_m, was_m_s) = self._distance_and_speed(after), self._distance_and_speed(before)
         for account in self._accounts.values():
             account.go_on(dt_s)
-            account.filter_moved(by)
+            account.filter_moved(m - was_m, m_s - was_m_s)
 
     def hear(self, said: Evidence) -> None:
         assert self._now_ns is not None
@@ -181,30 +191,35 @@ class Witnesses:
     def alone_s(self) -> float | None:
         """How long somebody has been heard whom nobody else confirms; None once all have been confirmed."""
         heard = self._heard - {PICTURES}
-        if self._now_ns is None or all(self._accounts[suspect].off is not None for suspect in heard):
+        if self._now_ns is None or all(self._accounts[suspect].begun for suspect in heard):
             return None
         return (self._now_ns - self._since_ns) / NS_PER_S
 
-    def blame(self, strange: Sequence[Measurement]) -> bool:
-        """Whether one suspect behind all of these is wrong rather than the filter: the others spoke for it lately."""
-        common = frozenset.intersection(*(_by(m) for m in strange))
+    def blame(self, strange: Sequence[Measurement], others: Sequence[Measurement]) -> bool:
+        """Whether one suspect behind all that is strange in a frame is wrong, rather than the filter.
+
+        Some other must speak for the filter: in the same frame, or the laser, which has frames of its own, lately.
+        """
         if self._now_ns is None:
             return False
-        return any(self._accounts[suspect].speaks_for_filter(self._now_ns) for suspect in common)
+        for suspect in frozenset.intersection(*(_by(m) for m in strange)):
+            account = self._accounts[suspect]
+            heard = account.taken_lately(Kind.LASER, self._now_ns) or any(suspect not in _by(m) for m in others)
+            if heard and account.speaks_for_filter(self._now_ns):
+                return True
+        return False
 
     def variance_m2(self) -> float:
         """What the stated variance of the distance must have besides."""
         if self._now_ns is None:
             return 0.0
-        accounts = {suspect: self._accounts[suspect] for suspect in self._heard}
-        accounts = {suspect: account for suspect, account in accounts.items() if account.off is not None}
-        least = max((a.allowed_m for suspect, a in accounts.items() if suspect != PICTURES), default=0.0) / ALLOWED
-        harmonic = [a for a in accounts.values() if a.in_harmony(self._now_ns)]
-        if len(harmonic) == len(accounts):
-            harmonic = [a for a in harmonic if a.apart]
-        elif not harmonic:
-            harmonic = list(accounts.values())
-        return max([least**2, *(max(a.square_m2, a.contradicted_m**2) for a in harmonic)])
+        now_ns = self._now_ns
+        accounts = {s: self._accounts[s] for s in self._heard if self._accounts[s].begun}
+        least = max((a.allowed_m for s, a in accounts.items() if s != PICTURES), default=0.0) / ALLOWED
+        harmonic = [a for a in accounts.values() if a.in_harmony(now_ns)]
+        agreed = len(harmonic) == len(accounts)
+        telling = [a for a in harmonic if a.apart] if agreed else harmonic or accounts.values()
+        return max([least**2, *(a.expected_m2(now_ns) for a in telling)])
 
     def evidence(self, m: Measurement, x: Estimate, common_m2: float, slack_m2: float = 0.0) -> Evidence | None:
         """What a measurement says against the estimate of its time; slack: how far the target may be aside."""
