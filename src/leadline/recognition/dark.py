@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from leadline.samples import Array, Image
+
+Picture = NDArray[np.floating[Any] | np.integer[Any]]
 
 MOVED_PX = 12  # farther, and what was hidden comes into view
 REFINED = 3  # steps
@@ -38,8 +43,8 @@ def aligned(dark: Image, light: Image) -> Image | None:
     shift = np.array([MOVED_PX - peak[0], MOVED_PX - peak[1]], float)
     for _ in range(REFINED):
         moved = _moved(before, shift)[inside]
-        rest = now[inside] - moved
-        rest = rest - np.median(rest)
+        rest = np.asarray(now[inside] - moved, np.float64)
+        rest -= np.median(rest)
         limit = OUTLIER * 1.4826 * float(np.median(np.abs(rest))) + 1e-3
         weight = np.abs(rest) < limit
         by_y, by_x = (np.asarray(part)[weight] for part in np.gradient(moved))
@@ -48,19 +53,19 @@ def aligned(dark: Image, light: Image) -> Image | None:
     if np.abs(shift).max() > MOVED_PX:
         return None
     moved_dark = _moved(dark, shift)
-    rest = now - np.asarray(moved_dark if moved_dark.ndim == 2 else moved_dark[..., 1], np.float32)
-    if _spread(rest) > HELPS**0.5 * _spread(now):
+    left = now - np.asarray(moved_dark if moved_dark.ndim == 2 else moved_dark[..., 1], np.float32)
+    if _spread(left) > HELPS**0.5 * _spread(now):
         return None
     return np.asarray(moved_dark, np.uint8)
 
 
-def _moved(image: Array | Image, shift: Array) -> Array:
+def _moved(image: Picture, shift: Array) -> Picture:
     move = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
     size = image.shape[1], image.shape[0]
     return np.asarray(cv2.warpAffine(image, move, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
 
 
-def _spread(values: Array) -> float:
+def _spread(values: NDArray[np.floating[Any]]) -> float:
     """Of what changes from place to place, robustly: the spot is not to count."""
     fine = np.asarray(values - cv2.blur(values, (31, 31)))
     return float(np.median(np.abs(fine)))

@@ -119,7 +119,7 @@ def _refused(fit: SpotFit, curve: Array, shape: tuple[int, ...]) -> str:
 
 def _inside(q_px: Array, shape: tuple[int, ...]) -> bool:
     x, y = q_px.tolist()
-    return 0 <= x <= shape[1] - 1 and 0 <= y <= shape[0] - 1
+    return bool(0 <= x <= shape[1] - 1 and 0 <= y <= shape[0] - 1)
 
 
 def _aside(q_px: Array, curve: Array) -> float:

@@ -163,7 +163,7 @@ class SimulatedDive:
         self.details["frames"].append(asdict(frame_truth))
         told = (left_ns, right_ns) if part.skew_s and part.skew_known else (None, None)
         laser_on = shines if self.scenario.laser.alternates else None
-        return StereoFrame(left_ns, left, right, instant.arrival_ns, *told, name, laser_on=laser_on)
+        return StereoFrame(left_ns, left, right, instant.arrival_ns, told[0], told[1], name, laser_on=laser_on)
 
     def _view(self, t_s: float) -> View:
         T = self._motion.pose(t_s)
