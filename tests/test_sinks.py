@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
@@ -117,6 +117,7 @@ FINITE = st.floats(1e-3, 1e6, allow_nan=False)
 STAMPS = st.integers(-(10**9), 2**31 * 10**9 - 1)
 
 
+@settings(deadline=None, max_examples=50)  # each closes a file, and that waits for the disk
 @given(range_m=FINITE, quality=st.none() | FINITE, t_ns=STAMPS, arrival_ns=st.none() | STAMPS)
 def test_every_reading_comes_back_exactly(
     tmp_path_factory: pytest.TempPathFactory, range_m: float, quality: float | None, t_ns: int, arrival_ns: int | None

@@ -106,12 +106,12 @@ def test_recover_makes_a_whole_file(tmp_path: Path) -> None:
     data = (tmp_path / "dive.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) * 7 // 10])
     lost = recover(tmp_path / "cut.mcap", tmp_path / "good.mcap")
-    assert len(lost) == 1
+    assert len(lost.lost) == 1
     source = open_source(tmp_path / "good.mcap")
     assert source.frame_count == 3  # from its index
     assert all(same(before, after) for before, after in zip(samples[:3], source, strict=True))
     assert source.notices == []
-    assert recover(tmp_path / "good.mcap", tmp_path / "again.mcap") == []
+    assert recover(tmp_path / "good.mcap", tmp_path / "again.mcap").lost == []
     with pytest.raises(InputError, match="another name"):
         recover(tmp_path / "cut.mcap", tmp_path / "good.mcap")
     (tmp_path / "none.mcap").write_bytes(data[:100])

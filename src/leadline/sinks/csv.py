@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
-from leadline.health import Part
+from leadline.health import Part, State, Verdict
 from leadline.samples import Detection, Sample, Solution, StereoFrame
 from leadline.wire.solutions import HEADER, solution_row
+from leadline.wire.spool import Spool
+
+KEPT_BYTES = 4 * 2**20  # rows that wait for room on a full disk: a quarter of an hour
 
 
 class SolutionsCsv:
-    """Each row is on its way to the disk when ``solution`` returns: a killed run keeps what it had."""
+    """Each row is on its way to the disk when ``solution`` returns: a killed run keeps what it had.
+
+    While the disk has no room, ``solution`` raises OSError and the rows wait.
+    """
 
     part: ClassVar[Part] = Part.DISK
 
     def __init__(self, path: Path | str) -> None:
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = path.open("w", encoding="utf-8", newline="")
-        self._writer = csv.writer(self._file, lineterminator="\n")
+        self._spool = Spool(Path(path), keep_bytes=KEPT_BYTES)
         self._write(HEADER)
 
     def sample(self, sample: Sample) -> None:
@@ -33,9 +37,26 @@ class SolutionsCsv:
     def solution(self, solution: Solution) -> None:
         self._write(solution_row(solution))
 
+    def check(self) -> Verdict:
+        """Read the last row back: a file that somebody has removed or changed, a disk that loses or spoils data."""
+        size, row = self._spool.written
+        try:
+            with self._spool.path.open("rb") as file:
+                file.seek(size - len(row))
+                found = file.read(len(row))
+        except OSError as error:
+            return State.OFF, f"{self._spool.path.name} cannot be read back ({error.strerror})"
+        if found == row:
+            return None
+        name = self._spool.path.name
+        if len(found) < len(row):
+            return State.WRONG, f"{name} holds less than was written"
+        return State.GARBAGE, f"{name} holds other than was written"
+
     def close(self) -> None:
-        self._file.close()
+        self._spool.close()
 
     def _write(self, cells: Sequence[str]) -> None:
-        self._writer.writerow(cells)
-        self._file.flush()
+        row = io.StringIO()
+        csv.writer(row, lineterminator="\n").writerow(cells)
+        self._spool.append(row.getvalue().encode())

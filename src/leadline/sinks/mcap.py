@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
-from leadline.health import Part
+from leadline.health import Part, State, Verdict
 from leadline.rig import Rig
 from leadline.samples import Detection, LaserRange, Sample, Solution, StereoFrame, Truth, VehicleMotion
 from leadline.wire import ros2_definitions as topics
@@ -18,7 +18,11 @@ from leadline.wire.truth import truth_text
 
 
 class McapSink:
-    """Replaying the file gives the same samples, bit for bit. Each frame goes to the disk as it is written."""
+    """Replaying the file gives the same samples, bit for bit. Each frame goes to the disk as it is written.
+
+    While the disk takes nothing, ``sample`` raises OSError and ``check`` says why; what comes is kept for when there is
+    room again, up to 64 MiB. What is lost beyond that stands in the file, as a warning on /diagnostics.
+    """
 
     part: ClassVar[Part] = Part.DISK
 
@@ -31,9 +35,11 @@ class McapSink:
         self._writer = RecordingWriter(Path(path), attachments)
         self._camera_infos = None if rig is None else ros2.camera_infos(rig)
         self._arrival_ns = 0
+        self._lost = 0
 
     def sample(self, sample: Sample) -> None:
         self._arrival_ns = sample.t_ns if sample.arrival_ns is None else sample.arrival_ns
+        self._tell_lost(sample.t_ns)
         if isinstance(sample, LaserRange):
             self._write(topics.SAMPLE_INFO, ros2.laser_info(sample), sample.t_ns)
             self._write(topics.LASER, ros2.range_message(sample), sample.t_ns)
@@ -54,8 +60,19 @@ class McapSink:
         if solution.position_m is not None and solution.cov_m2 is not None:
             self._write(topics.TARGET, ros2.target_message(solution), solution.t_ns)
 
+    def check(self) -> Verdict:
+        """While the disk takes nothing: why."""
+        error = self._writer.error
+        return None if error is None else (State.OFF, f"{error.strerror}: nothing is recorded")
+
     def close(self) -> None:
         self._writer.close()
+
+    def _tell_lost(self, t_ns: int) -> None:
+        if self._writer.lost > self._lost and self._writer.error is None:
+            text = f"{self._writer.lost - self._lost} parts before this one are lost: the disk had no room"
+            self._lost = self._writer.lost
+            self._write(topics.DIAGNOSTICS, ros2.diagnostic(t_ns, "leadline/recorder", {}, level=1, text=text), t_ns)
 
     def _frame(self, frame: StereoFrame) -> None:
         left, right = frame.encoded or (encode_png(frame.left), encode_png(frame.right))
