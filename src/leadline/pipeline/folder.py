@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import count
 from pathlib import Path
 
 from leadline.errors import InputError
 
-SOLUTIONS, CONFIG, RIG, SUMMARY, PICTURE, RECORDING, SMOOTHED = (
-    "solutions.csv", "config.yaml", "rig.yaml", "summary.json", "run.png", "dive.mcap", "smoothed.csv"
+SOLUTIONS, CONFIG, RIG, SUMMARY, PICTURE, RECORDING, SMOOTHED, EVENTS = (
+    "solutions.csv", "config.yaml", "rig.yaml", "summary.json", "run.png", "dive.mcap", "smoothed.csv", "events.csv"
 )  # fmt: skip
 
 
@@ -16,7 +18,18 @@ def solutions_name(method: str) -> str:
     return f"solutions_{method}.csv"
 
 
-OURS = (SOLUTIONS, SMOOTHED, solutions_name("paper"), CONFIG, RIG, SUMMARY, PICTURE)
+OURS = (SOLUTIONS, SMOOTHED, solutions_name("paper"), EVENTS, CONFIG, RIG, SUMMARY, PICTURE)
+
+
+def written(out: Path, recordings: Sequence[Path] = ()) -> list[Path]:
+    """What stands there of a run, by now."""
+    return [path for path in (*(out / name for name in OURS), *recordings) if path.exists()]
+
+
+def free_recording(out: Path) -> Path:
+    """``dive.mcap``, ``dive_2.mcap``, ...: the first that does not exist yet."""
+    names = (RECORDING if number == 1 else f"dive_{number}.mcap" for number in count(1))
+    return next(out / name for name in names if not (out / name).exists())
 
 
 def check_folder(out: Path, source: str) -> None:

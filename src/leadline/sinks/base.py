@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
-from leadline.health import Condition
+from leadline.health import Condition, Verdict
 from leadline.samples import Detection, Sample, Solution, StereoFrame
+from leadline.sinks.control import Event
 
 
 class Sink(Protocol):
@@ -31,3 +32,19 @@ class HealthSink(Protocol):
 
     def health(self, conditions: Sequence[Condition], now_ns: int) -> None:
         """Whenever one has changed and once a second, even while no sample comes (live)."""
+
+
+@runtime_checkable
+class EventSink(Protocol):
+    """A sink that also keeps what somebody marked."""
+
+    def event(self, event: Event) -> None:
+        """Between two samples."""
+
+
+@runtime_checkable
+class CheckedSink(Protocol):
+    """A sink that looks whether its work has arrived."""
+
+    def check(self) -> Verdict:
+        """After each solution; None where all is well."""

@@ -1,0 +1,75 @@
+"""Recording and marks on somebody's request, between two samples and in the loop's own thread."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from leadline.pipeline import folder
+from leadline.pipeline.watch import Outlet, Watch
+from leadline.sinks import Sink
+from leadline.sinks.control import Control, Desk, Event, Request, Wish
+
+
+class Recorder:
+    """sinks: the main track's, which a recording joins and leaves. open_sink: a recorder into a file. ``files``: the
+    recordings of this run.
+    """
+
+    def __init__(
+        self,
+        out: Path,
+        sinks: list[Outlet],
+        control: Control,
+        open_sink: Callable[[Path], Sink],
+        watch: Watch,
+        now_ns: Callable[[], int],
+    ) -> None:
+        self._out, self._sinks, self._control = out, sinks, control
+        self._open_sink, self._watch, self._now_ns = open_sink, watch, now_ns
+        self._open: Outlet | None = None
+        self._marks = 0
+        self.files: tuple[Path, ...] = ()
+
+    def start(self, path: Path) -> None:
+        """InputError or OSError where the file cannot be opened."""
+        self._open = self._watch.outlet(self._open_sink(path))
+        self._sinks.append(self._open)
+        self.files = (*self.files, path)
+        self._control.desk = Desk(recording=True, files=self.files)
+
+    def stop(self) -> None:
+        """Safe to call twice."""
+        if self._open is not None:
+            self._sinks.remove(self._open)
+            self._watch.release(self._open)
+            self._open = None
+            self._control.desk = Desk(files=self.files)
+
+    def poll(self) -> None:
+        """Do what was asked for since the last call."""
+        for request in self._control.take():
+            self._do(request)
+
+    def _do(self, request: Request) -> None:
+        if request.wish is Wish.MARK:
+            self._marks += 1
+            self._tell(request.text or f"mark {self._marks}")
+        elif request.wish is Wish.RECORD and self._open is None:
+            self._begin()
+        elif request.wish is Wish.STOP and self._open is not None:
+            self._tell(f"{self.files[-1].name}: recording ends")
+            self.stop()
+
+    def _begin(self) -> None:
+        path = folder.free_recording(self._out)
+        try:
+            self.start(path)
+        except OSError as error:  # the dive goes on
+            self._control.desk = Desk(trouble=f"{path.name} cannot be written: {error.strerror}", files=self.files)
+            return
+        self._tell(f"{path.name}: recording begins")
+
+    def _tell(self, text: str) -> None:
+        for sink in self._sinks:
+            sink.event(Event(self._now_ns(), text))
