@@ -53,7 +53,7 @@ class Job:
 
 
 def build_job(
-    spec: str,
+    spec: str | Source,
     *,
     rig_file: str | None = None,
     target: str | None = None,
@@ -74,7 +74,7 @@ def build_job(
     if smoothed and (not filtered or methods[0] == "paper"):
         raise InputError("--smooth smooths our filter", fix="leave --no-filter and --method paper out")
     config = config or Config()
-    source = open_source(spec, seed=seed, real_time=real_time)
+    source = spec if isinstance(spec, Source) else open_source(spec, seed=seed, real_time=real_time)
     rig = _rig(source, rig_file, water_state)
     if isinstance(source, LiveSource):
         source.mount.T_body_left = camera_on_body(rig)

@@ -26,10 +26,8 @@ def open_source(spec: str | Path, *, seed: int = 0, real_time: bool = False) -> 
         from leadline.sources.simulated import SimulatedSource  # noqa: PLC0415  the renderer is not needed for a replay
 
         return SimulatedSource(text.removeprefix("sim:"), seed=seed, real_time=real_time)
-    if text.startswith((LIVE, "uvc:", "rtsp:", "serial:", "mavlink:")):
+    if text.startswith((LIVE, "uvc:", "rtsp:", "serial:", "mavlink:", "ros2:")):
         return _open_live(text, seed)
-    if text.startswith("ros2:"):
-        raise InputError("no such live source yet", text, _WANTED)
     path = _recording_inside(Path(spec))
     if path.is_dir():
         from leadline.sources.folder import FolderSource  # noqa: PLC0415
@@ -43,7 +41,7 @@ def open_source(spec: str | Path, *, seed: int = 0, real_time: bool = False) -> 
 
 
 def _open_live(text: str, seed: int) -> Source:
-    from leadline.sources.address import makers  # noqa: PLC0415  devices are not needed for a replay
+    from leadline.sources.address import makers, rig_of  # noqa: PLC0415  devices are not needed for a replay
     from leadline.sources.clock import LiveClock  # noqa: PLC0415
     from leadline.sources.live import LiveSource  # noqa: PLC0415
     from leadline.sources.mavlink import Mount  # noqa: PLC0415
@@ -52,7 +50,9 @@ def _open_live(text: str, seed: int) -> Source:
     if text.startswith(LIVE):
         return live_dive(open_source(text.removeprefix(LIVE), seed=seed))
     clock, mount = LiveClock(), Mount()
-    return LiveSource(text, makers(text, clock, mount), clock, mount=mount)
+    source = LiveSource(text, makers(text, clock, mount), clock, mount=mount)
+    source.rig = rig_of(text)
+    return source
 
 
 def _recording_inside(path: Path) -> Path:

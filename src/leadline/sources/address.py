@@ -12,13 +12,14 @@ from typing import TypeVar
 from urllib.parse import unquote
 
 from leadline.errors import InputError
+from leadline.rig import Rig
 from leadline.sources.clock import LiveClock
 from leadline.sources.mavlink import MavlinkMotion, Mount
 from leadline.sources.part import LivePart
 
 CAMERA_OPTIONS = ("size", "fps", "exposure", "latency", "fourcc")
 LASER_OPTIONS = ("protocol", "baud", "latency")
-SCHEMES = ("uvc", "rtsp", "serial", "mavlink")
+SCHEMES = ("uvc", "rtsp", "serial", "mavlink", "ros2")
 _Number = TypeVar("_Number", int, float)
 
 
@@ -46,7 +47,27 @@ def _part(scheme: str, rest: str, clock: LiveClock, mount: Mount, where: str) ->
         return _laser(rest, clock, where), "serial"
     if scheme == "mavlink":
         return lambda: MavlinkMotion(rest, clock, mount), "mavlink"
+    if scheme == "ros2":
+        return _topics(rest, clock, where), "camera"
     return _camera(scheme, rest, clock, where), "camera"
+
+
+def _topics(rest: str, clock: LiveClock, where: str) -> Callable[[], LivePart]:
+    from leadline.sources.ros2 import RosTopics, StereoTopics, own_node  # noqa: PLC0415
+
+    wanted = StereoTopics.parsed(_options(rest, "?", where)[1], where)
+    return lambda: RosTopics(where, lambda: own_node(wanted, clock), wanted.pair_s)
+
+
+def rig_of(text: str) -> Rig | None:
+    """Of a ``ros2:`` address that names the cameras' CameraInfo; waits for it, InputError where it does not come."""
+    found = re.search(r"(?:^|\+)(ros2:.*?)(?=\+\w+:|$)", text)
+    if found is None:
+        return None
+    from leadline.sources.ros2 import StereoTopics, rig_from_topics  # noqa: PLC0415
+
+    wanted = StereoTopics.parsed(_options(found[1].removeprefix("ros2:"), "?", text)[1], text)
+    return rig_from_topics(wanted) if wanted.left_info and wanted.right_info else None
 
 
 def _laser(rest: str, clock: LiveClock, where: str) -> Callable[[], LivePart]:

@@ -10,10 +10,12 @@ from leadline.samples import LaserRange, Sample, StereoFrame, VehicleMotion
 from leadline.wire.images import decode_image, require_same_size
 from leadline.wire.notice import Notice, NoticeKind
 from leadline.wire.ros2_definitions import LASER, LEFT_IMAGE, MOTION, RIGHT_IMAGE, SAMPLE_INFO
+from leadline.wire.ros2_images import range_m
 from leadline.wire.ros2_messages import FRAME_NAME, MOTION_NAME, stamp_ns
+from leadline.wire.ros2_pairing import Pairing
 from leadline.wire.stamps import format_stamp, parse_stamp
 
-_WAITING = 16  # images that wait for their partner; more than that is a lost partner
+_WAITING = 16  # images that wait for the description of their frame, or for their partner
 _PAIR_NS = 25_000_000  # images of another recorder this close are one exposure
 
 Times = tuple[int | None, int | None, int | None]  # arrival, left and right exposure, ns
@@ -30,6 +32,7 @@ class SampleAssembler:
         """``where``: the recording's name, for what is told."""
         self._where, self._tell = where, tell
         self._images: dict[str, dict[int, bytes]] = {LEFT_IMAGE: {}, RIGHT_IMAGE: {}}
+        self._pairing: Pairing[bytes] = Pairing(_PAIR_NS)
         self._own = False
         self._announced: tuple[int, dict[str, str]] | None = None  # a frame whose images are to come
         self._motion: dict[str, str] | None = None  # of a motion whose message is to come
@@ -44,13 +47,9 @@ class SampleAssembler:
                 self._skip("sample", stamp_ns(message), f"its description cannot be read ({error})")
                 return None
         if topic in self._images:
-            images = self._images[topic]
-            images[stamp_ns(message)] = message.data
-            while len(images) > _WAITING:
-                del images[next(iter(images))]
-            return self._complete() if self._own else self._nearest_pair(topic, stamp_ns(message), log_ns)
+            return self._image(topic, message, log_ns)
         if topic == LASER and not self._own:
-            return self._checked_range(LaserRange(stamp_ns(message), float(message.range), None, log_ns))
+            return self._reading(message, log_ns)
         if topic == MOTION:
             return self._vehicle_motion(message, log_ns)
         return None
@@ -111,16 +110,28 @@ class SampleAssembler:
         self._announced = None
         return self._frame((lefts.pop(left_ns), rights.pop(right_ns)), t_ns, times, values.get("name", ""))
 
-    def _nearest_pair(self, topic: str, stamp: int, log_ns: int) -> StereoFrame | None:
-        others = self._images[RIGHT_IMAGE if topic == LEFT_IMAGE else LEFT_IMAGE]
-        nearest = min(others, key=lambda other: abs(other - stamp), default=None)
-        if nearest is None or abs(nearest - stamp) > _PAIR_NS:
+    def _image(self, topic: str, message: Any, log_ns: int) -> StereoFrame | None:
+        t_ns = stamp_ns(message)
+        if self._own:
+            images = self._images[topic]
+            images[t_ns] = message.data
+            while len(images) > _WAITING:
+                del images[next(iter(images))]
+            return self._complete()
+        take = self._pairing.left if topic == LEFT_IMAGE else self._pairing.right
+        pair = take(t_ns, message.data)
+        if pair is None:
             return None
-        left_ns, right_ns = (stamp, nearest) if topic == LEFT_IMAGE else (nearest, stamp)
-        encoded = self._images[LEFT_IMAGE].pop(left_ns), self._images[RIGHT_IMAGE].pop(right_ns)
-        if left_ns == right_ns:
-            return self._frame(encoded, left_ns, (log_ns, None, None), "")
-        return self._frame(encoded, (left_ns + right_ns) // 2, (log_ns, left_ns, right_ns), "")
+        apart = pair.left_ns != pair.right_ns
+        times = (log_ns, pair.left_ns, pair.right_ns) if apart else (log_ns, None, None)
+        return self._frame((pair.left, pair.right), pair.t_ns, times, "")
+
+    def _reading(self, message: Any, log_ns: int) -> LaserRange | None:
+        try:
+            return LaserRange(stamp_ns(message), range_m(message), None, log_ns)
+        except ValueError as error:
+            self._skip("laser", stamp_ns(message), str(error))
+            return None
 
     def _frame(self, encoded: tuple[bytes, bytes], t_ns: int, times: Times, name: str) -> StereoFrame | None:
         try:

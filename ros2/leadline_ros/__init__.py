@@ -1,0 +1,1 @@
+"""leadline on ROS 2."""
