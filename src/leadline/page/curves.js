@@ -32,9 +32,9 @@ export class Curves {
       ...this.size(),
       legend: { show: false },
       cursor: { show: false },
-      padding: [8, 12, 0, 0],
+      padding: [8, 22, 0, 0],
       scales: { x: { time: false, range: () => this.window() }, y: { range: (_, low, high) => [0, Math.max(high ?? 1, 0.3) * 1.08] } },
-      axes: [{ ...axis, size: 30, values: (_, ticks) => ticks.map((one) => `${one} s`) }, { ...axis, size: 62, values: (_, ticks) => ticks.map((one) => `${one} m`) }],
+      axes: [{ ...axis, size: 30, values: (_, ticks) => ticks.map((one) => `${one} s`) }, { ...axis, size: 74, space: 44, values: (_, ticks) => ticks.map((one) => `${one} m`) }],
       series: [
         {},
         quiet, quiet,
@@ -92,6 +92,7 @@ export class Curves {
     pen.clip();
     pen.font = `600 ${12.5 * dot}px system-ui, sans-serif`;
     pen.textBaseline = "top";
+    pen.textAlign = "left";
     for (const [from, to, stage] of this.spans) {
       const left = Math.max(this.plot.valToPos(from, "x", true), bbox.left), right = this.plot.valToPos(to, "x", true);
       if (right <= left) continue;

@@ -37,7 +37,9 @@ export class Link {
       const answer = await fetch("/alive", { signal: AbortSignal.timeout(SILENT_MS) });
       if (answer.ok) return this.open();
       this.on.state(answer.status === 401 ? "refused" : "lost");
-    } catch { /* not there yet */ }
+    } catch {
+      this.on.state("lost"); // not there yet
+    }
     this.retry();
   }
 
@@ -54,7 +56,11 @@ export class Link {
     this.on.message(head, blobs);
   }
 
+  get isOpen() {
+    return this.socket?.readyState === WebSocket.OPEN;
+  }
+
   say(words) {
-    if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(words));
+    if (this.isOpen) this.socket.send(JSON.stringify(words));
   }
 }

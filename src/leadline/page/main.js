@@ -21,6 +21,7 @@ const link = new Link({
 });
 
 async function take(head, blobs) {
+  if (!link.isOpen) return; // came just before the connection was lost
   if (head.kind === "hello") {
     hello = head;
     showHello(hello);

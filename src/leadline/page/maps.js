@@ -53,7 +53,7 @@ export class Map2 {
   }
 
   grid(pen, width, height) {
-    const step = [0.1, 0.2, 0.5, 1, 2, 5].find((one) => this.reach / one <= 5) ?? 5;
+    const step = [0.1, 0.2, 0.5, 1, 2, 5].find((one) => one * this.scale >= 50) ?? 5;
     pen.font = "13px system-ui, sans-serif";
     pen.lineWidth = 1;
     for (let m = step; m <= this.reach * 1.01; m += step) {
@@ -62,7 +62,7 @@ export class Map2 {
       line(pen, this.way.up ? [[0, y], [width, y]] : [[x, 0], [x, height]]);
       pen.fillStyle = this.colour("--quiet");
       const words = `${+m.toFixed(2)} m`;
-      if (this.way.up) pen.fillText(words, 4, y - 3);
+      if (this.way.up) pen.fillText(words, width - pen.measureText(words).width - 2, y - 3);
       else pen.fillText(words, x - pen.measureText(words).width - 3, height - 5);
     }
   }
@@ -70,7 +70,7 @@ export class Map2 {
   limits(pen) { // distances from the camera that mean something
     const { safety_m, standoff_m, reach_m } = this.hello.limits;
     pen.setLineDash([2, 4]);
-    for (const [radius, name] of [[safety_m, "--bad"], [standoff_m, "--ink"], [reach_m, "--stage2"]]) {
+    for (const [radius, name] of [[safety_m, "--bad"], [standoff_m, "--ink"], [reach_m, "--good"]]) {
       pen.strokeStyle = this.colour(name);
       pen.lineWidth = 1.5;
       pen.beginPath();

@@ -6,8 +6,12 @@ const put = (id, words) => { const place = byId(id); if (place.textContent !== w
 const make = (tag, words, kind = "") => Object.assign(document.createElement(tag), { textContent: words, className: kind });
 
 export function showHello(hello) {
-  const { standoff_m, reach_m, accuracy_m } = hello.limits;
+  const { safety_m, standoff_m, reach_m, accuracy_m } = hello.limits;
   put("source", `${hello.name}, target ${hello.target}`);
+  for (const [name, metres] of [["safety", safety_m], ["standoff", standoff_m], ["reach", reach_m]]) {
+    const words = { safety: "alarm", standoff: "stand-off", reach: "reach" }[name];
+    document.querySelector(`#maps .${name}`).textContent = `${words} ${length(metres)}`;
+  }
   put("standoff_limit", `until ${length(standoff_m)}`);
   put("reach_limit", `of ${length(reach_m)}`);
   put("accurate_limit", `to ${length(accuracy_m)}`);
