@@ -11,7 +11,8 @@ import pytest
 
 from leadline.evaluation.accuracy import compare
 from leadline.evaluation.plot import Curve, Picture, plot_run
-from leadline.evaluation.summary import accuracy, pixel_cost_m, rates, summarise
+from leadline.evaluation.running import Stamps, Tally
+from leadline.evaluation.summary import accuracy, pixel_cost_m
 from leadline.rig import Rig
 from leadline.samples import NS_PER_S, Kind, Rejected, Solution, Stage, Status, Truth
 
@@ -63,19 +64,19 @@ def test_wall_clock_stamps_are_counted_from_the_start(tmp_path: Path) -> None:
 
 
 def test_summary_counts() -> None:
-    counted = summarise([lost(0), found(1), found(2, 0.01)])
+    counted = Tally([lost(0), found(1), found(2, 0.01)]).summary()
     assert counted["status"] == {"valid": 2, "coasting": 0, "lost": 1}
     assert counted["stages"] == {"0": 1, "1": 0, "2": 1, "3": 1}
     assert counted["used"] == {"laser": 2}
     assert counted["rejected"] == {"stereo: no match": 1}
     assert counted["range_m"]["max"] == pytest.approx(1.901)
-    assert summarise([])["range_sigma_m"] is None
+    assert Tally().summary()["range_sigma_m"] is None
 
 
 def test_rates_and_accuracy_of_nothing() -> None:
-    assert rates([0, NS_PER_S // 2, NS_PER_S]) == pytest.approx(2.0)
-    assert rates([5]) is None
-    assert rates([]) is None
+    assert Stamps([0, NS_PER_S // 2, NS_PER_S]).rate_hz == pytest.approx(2.0)
+    assert Stamps([5]).rate_hz is None
+    assert Stamps([]).rate_hz is None
     assert accuracy(compare([found(1)], [])) is None
 
 

@@ -128,7 +128,6 @@ def test_faults_add_up_and_repeat_by_seed() -> None:
     [
         {"sensor": "laser", "mode": "melted"},
         {"sensor": "sonar", "mode": "off"},
-        {"sensor": "left", "mode": "delayed"},
         {"sensor": "laser", "mode": "off", "start_s": 3.0, "end_s": 2.0},
         {"sensor": "laser", "mode": "slow", "size": 0.2},
     ],
@@ -136,3 +135,19 @@ def test_faults_add_up_and_repeat_by_seed() -> None:
 def test_faults_that_make_no_sense_are_refused(values: dict[str, object]) -> None:
     with pytest.raises(ValidationError):
         Fault.model_validate(values)
+
+
+@pytest.mark.parametrize(("mode", "old_s"), [("slow", 0.3), ("intermittent", 0.1), ("delayed", 0.5)])
+def test_one_camera_of_two_gives_older_pictures_with_their_own_stamps(mode: Mode, old_s: float) -> None:
+    before = {s.t_ns: s for s in stream() if isinstance(s, StereoFrame)}
+    frames = [s for s in inside(run("left", mode), StereoFrame) if isinstance(s, StereoFrame)]
+    assert len(frames) == 20
+    ages_s = []
+    for frame in frames:
+        taken_ns = frame.t_ns if frame.left_t_ns is None else frame.left_t_ns
+        assert np.array_equal(frame.left, before[taken_ns].left)
+        assert np.array_equal(frame.right, before[frame.t_ns].right)
+        assert frame.right_t_ns in (None, frame.t_ns)
+        ages_s.append((frame.t_ns - taken_ns) / NS_PER_S)
+    assert max(ages_s) >= old_s
+    assert (min(ages_s) == old_s) if mode == "delayed" else (min(ages_s) == 0)

@@ -34,6 +34,10 @@ class Lag:
             self._usual_s += 0.01 * (lag_s - self._usual_s)
 
     @property
+    def heard(self) -> bool:
+        return bool(self._all)
+
+    @property
     def excess_s(self) -> list[float]:
         """How much later than usual the last samples came, oldest first; empty while the usual is not known."""
         if self._usual_s is None:

@@ -12,10 +12,10 @@ from leadline.health.pace import Pace
 from leadline.health.sight import Boxes, Contradictions
 from leadline.health.states import Condition, Part, State, Verdict, advice
 from leadline.health.work import Work
-from leadline.samples import NS_PER_S, Detection, Sample, Solution, StereoFrame, VehicleMotion
+from leadline.samples import NS_PER_S, Detection, Image, Sample, Solution, StereoFrame, VehicleMotion
 
-WELL_S = 0.6  # without any sign of a fault
-WELL_EVENTS = 2
+WELL_S = 0.5  # without any sign of a fault
+WELL_EVENTS = 1
 EVENTS_KEPT = 200
 CAMERAS = (Part.LEFT, Part.RIGHT)
 WORKERS = (Part.DETECTOR, Part.DISK, Part.OUTPUT)
@@ -52,6 +52,8 @@ class Health:
         self._standings: dict[Part, _Standing] = {}
         self._paces: dict[Part, Pace] = {}
         self._lags: dict[str, Lag] = {}
+        self._own_lags = {part: Lag() for part in CAMERAS}
+        self._taken_ns: dict[Part, int] = {}  # each camera's last picture
         self._pictures = {part: Pictures() for part in CAMERAS}
         self._ranges, self._scene = Ranges(), Scene()
         self._work = {part: Work() for part in WORKERS}
@@ -74,9 +76,9 @@ class Health:
             self.tick(now_ns)
             return
         if isinstance(sample, StereoFrame):
-            self._timing("camera", CAMERAS, arrival_ns, sample.t_ns)
-            self._pictures[Part.LEFT].look(sample.left)
-            self._pictures[Part.RIGHT].look(sample.right)
+            self._lags.setdefault("camera", Lag()).add(arrival_ns, sample.t_ns)
+            self._look(Part.LEFT, sample.left, sample.left_t_ns, sample)
+            self._look(Part.RIGHT, sample.right, sample.right_t_ns, sample)
             self._scene.look(sample.t_ns, sample.left)
             self._judge(now_ns, CAMERAS)
             return
@@ -114,11 +116,11 @@ class Health:
         self._contradictions.see(solution)
         self._judge(now_ns, ())
 
-    def asked(self, part: Part, now_ns: int) -> None:
-        """The detector, the disk or an output was given something to do."""
+    def asked(self, part: Part, asked_ns: int, now_ns: int | None = None) -> None:
+        """The detector, the disk or an output was given something to do, and has not done it yet."""
         self._join(part)
-        self._work[part].asked(now_ns)
-        self._judge(now_ns, ())
+        self._work[part].asked(asked_ns)
+        self._judge(asked_ns if now_ns is None else now_ns, ())
 
     def done(self, part: Part, now_ns: int, took_s: float, fault: Verdict = None, lag_s: float = 0.0) -> None:
         """It is done. fault: what was wrong with it (an error: off); lag_s: the age of what it answers."""
@@ -175,6 +177,18 @@ class Health:
             self._paces[part] = Pace(self._periods_s.get(part))
             self._join(Part.CLOCK)
 
+    def _look(self, part: Part, image: Image, own_ns: int | None, frame: StereoFrame) -> None:
+        """A camera's own picture: one that is stamped as the one before it is no new one."""
+        arrival_ns = frame.t_ns if frame.arrival_ns is None else frame.arrival_ns
+        taken_ns = frame.t_ns if own_ns is None else own_ns
+        self._join(part)
+        if own_ns is not None and own_ns == self._taken_ns.get(part):
+            return
+        self._taken_ns[part] = taken_ns
+        self._own_lags[part].add(arrival_ns, taken_ns)
+        self._paces[part].arrive(arrival_ns, taken_ns)
+        self._pictures[part].look(image)
+
     def _timing(self, name: str, parts: Sequence[Part], arrival_ns: int, t_ns: int) -> None:
         self._lags.setdefault(name, Lag()).add(arrival_ns, t_ns)
         for part in parts:
@@ -202,7 +216,7 @@ class Health:
             return self._reported[part]
         if part in WORKERS:
             return self._work[part].verdict(now_ns)
-        late = None if clock is not None else self._lags[self._sensor(part)].late() if self._heard(part) else None
+        late = None if clock is not None else self._lag(part).late()
         return (
             self._paces[part].verdict(now_ns)
             or self._content(part)
@@ -221,11 +235,8 @@ class Health:
     def _twins(self) -> bool:
         return self._pictures[Part.LEFT].print == self._pictures[Part.RIGHT].print
 
-    def _sensor(self, part: Part) -> str:
-        return "laser" if part is Part.LASER else "camera"
-
-    def _heard(self, part: Part) -> bool:
-        return self._sensor(part) in self._lags
+    def _lag(self, part: Part) -> Lag:
+        return self._own_lags[part] if part in CAMERAS else self._lags.setdefault("laser", Lag())
 
     def _clock(self) -> Verdict:
         """Stamps that cannot be: of one sensor, or all late alike, which is no delay of theirs."""
@@ -234,8 +245,9 @@ class Health:
             if seen is not None:
                 whose = "the computer's clock" if name == "wall" else f"the {name}'s stamps"
                 return seen[0], f"{whose}: {seen[1]}"
-        judges = [self._lags["wall"]] if "wall" in self._lags else list(self._lags.values())
-        if "wall" not in self._lags and len(judges) < 2:
+        heard = {name: lag for name, lag in self._lags.items() if lag.heard}
+        judges = [heard["wall"]] if "wall" in heard else list(heard.values())
+        if "wall" not in heard and len(judges) < 2:
             return None  # one sensor alone may be late itself
         recent = [lag.excess_s[-2:] for lag in judges]
         shifts = [min(excess, key=abs) for excess in recent if len(excess) == 2]

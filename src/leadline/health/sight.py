@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 
+import numpy as np
+
+from leadline.health.lateness import Lateness
 from leadline.health.states import Part, State, Verdict
 from leadline.samples import NS_PER_S, Detection, Kind, Solution, StereoFrame
 
 VISION = frozenset({Kind.STEREO, Kind.SIZE, Kind.SPOT})
 READINGS, AGAINST = 5, 4
 FRAMES, FRAMES_AGAINST = 8, 6
+UNPROVEN = 3  # times as many, of a sensor that has not agreed with the others for so many yet: who is wrong is open
 RECENT_S = 1.5
 MATCHED, APART = 7, 5  # frames that matched before, and that do not now, at one go
 NEAREST_M = 0.6  # nearer, left and right may see different things
@@ -25,6 +29,7 @@ class Boxes:
         self._last: tuple[Box, ...] = ()
         self._picture: bytes = b""
         self._repeats = 0
+        self._lateness = Lateness()
 
     def judge(
         self, frame: StereoFrame, detections: Sequence[Detection], expected_px: tuple[float, float] | None
@@ -44,7 +49,9 @@ class Boxes:
             return State.OFF, "does not see a target that is in view"
         if min(_off(box, expected_px) for box in boxes) > REACH:
             return State.WRONG, "sees it where it cannot be"
-        return None
+        x, y, width, height = min(boxes, key=lambda box: _off(box, expected_px))
+        middle_px = np.array([x + width / 2, y + height / 2])
+        return self._lateness.judge(frame.t_ns, middle_px, max(width, height), np.array(expected_px))
 
 
 def _inside(box: Box, frame: StereoFrame) -> bool:
@@ -63,8 +70,9 @@ class Contradictions:
     """Measurements turned away again and again while another sensor's are taken."""
 
     def __init__(self) -> None:
-        self._laser: deque[bool] = deque(maxlen=READINGS)
-        self._vision: deque[bool] = deque(maxlen=FRAMES)
+        self._laser: deque[bool] = deque(maxlen=UNPROVEN * READINGS)
+        self._vision: deque[bool] = deque(maxlen=UNPROVEN * FRAMES)
+        self._proven: set[Kind] = set()
         self._laser_ns = self._vision_ns = -(10**18)  # when each was last taken
         self._matched, self._failed = 0, 0  # frames in a row
         self._apart = False
@@ -74,11 +82,13 @@ class Contradictions:
         self._match(solution, Kind.STEREO in rejected)
         if Kind.LASER in solution.used or Kind.LASER in rejected:
             self._laser.append(Kind.LASER not in solution.used)
+            self._prove(Kind.LASER, self._laser, READINGS)
         if Kind.LASER in solution.used:
             self._laser_ns = solution.t_ns
         if VISION & set(solution.used):
             self._vision_ns = solution.t_ns
             self._vision.append(False)
+            self._prove(Kind.STEREO, self._vision, FRAMES)
         elif VISION & rejected and any(one.nis is not None for one in solution.rejected if one.kind in VISION):
             self._vision.append(True)
 
@@ -93,20 +103,25 @@ class Contradictions:
                 self._apart = True
             self._matched = 0 if self._failed >= APART else self._matched
 
+    def _prove(self, kind: Kind, against: deque[bool], count: int) -> None:
+        if len(against) >= count and not any(list(against)[-count:]):
+            self._proven.add(kind)
+
+    def _refuted(self, kind: Kind, against: deque[bool], count: int, most: int) -> bool:
+        """Whether most of the last were turned away, and not only of those before the last two."""
+        times = 1 if kind in self._proven else UNPROVEN
+        last = list(against)[-times * count :]
+        return len(last) == times * count and sum(last) >= times * most and any(last[-2:])
+
     def verdict(self, part: Part, now_ns: int) -> Verdict:
         if part is Part.LASER:
             seen = now_ns - self._vision_ns < RECENT_S * NS_PER_S
-            if seen and len(self._laser) == READINGS and sum(self._laser) >= AGAINST and any(list(self._laser)[-2:]):
+            if seen and self._refuted(Kind.LASER, self._laser, READINGS, AGAINST):
                 return State.WRONG, "its readings contradict what the cameras see"
             return None
         if self._apart:
             return State.WRONG, "left and right do not fit together any more: one of them is wrong"
         read = now_ns - self._laser_ns < RECENT_S * NS_PER_S
-        if (
-            read
-            and len(self._vision) == FRAMES
-            and sum(self._vision) >= FRAMES_AGAINST
-            and any(list(self._vision)[-2:])
-        ):
+        if read and self._refuted(Kind.STEREO, self._vision, FRAMES, FRAMES_AGAINST):
             return State.WRONG, "what the cameras see contradicts the laser: one of them is wrong"
         return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,14 +14,18 @@ import numpy as np
 
 from leadline.errors import InputError
 from leadline.evaluation.accuracy import Errors, compare
-from leadline.evaluation.summary import accuracy, pixel_cost_m, rates, step_times_ms, summarise, versions
+from leadline.evaluation.running import Spread, Stamps, Tally, Thinned
+from leadline.evaluation.summary import accuracy, pixel_cost_m, versions
 from leadline.localizer import SmoothingLocalizer
 from leadline.pipeline import folder
 from leadline.pipeline.build import Job, Steps
-from leadline.pipeline.watch import Watch
+from leadline.pipeline.recorder import Recorder
+from leadline.pipeline.watch import Outlet, Watch
 from leadline.rig import Rig
 from leadline.samples import Array, LaserRange, Sample, Solution, StereoFrame
 from leadline.sinks import McapSink, Sink, SolutionsCsv
+from leadline.sinks.control import Control
+from leadline.sinks.events import EventsCsv
 from leadline.sources import Source, frame_size
 from leadline.sources.live import LiveSource
 
@@ -35,37 +39,40 @@ class Track:
 
     name: str
     localizer: Steps
-    sinks: Sequence[Sink]
+    sinks: list[Outlet]
     watch: Watch | None = None  # of the main one
-    solutions: list[Solution] = field(default_factory=list)
-    steps_s: list[float] = field(default_factory=list)
+    solutions: Thinned[Solution] = field(default_factory=Thinned)  # for the picture and the errors
+    tally: Tally = field(default_factory=Tally)
+    steps_s: Spread = field(default_factory=Spread)
 
-    def take(self, sample: Sample) -> None:
+    def take(self, sample: Sample) -> Solution | None:
         for sink in self.sinks:
             sink.sample(sample)
         start_s = time.perf_counter()
         solution = self.localizer.step(sample)
         if isinstance(sample, StereoFrame):
-            self.steps_s.append(time.perf_counter() - start_s)
+            self.steps_s.add(time.perf_counter() - start_s)
             if self.watch is not None:
                 self.watch.found(sample, self.localizer.detections)
             for sink in self.sinks:
                 sink.detections(sample, self.localizer.detections)
         if solution is not None:
             self.solutions.append(solution)
+            self.tally.add(solution)
             for sink in self.sinks:
                 sink.solution(solution)
             if self.watch is not None:
                 self.watch.solved(solution)
+        return solution
 
 
 @dataclass(slots=True, eq=False)
 class Passed:
-    """What came by: stamps of the frames, and of the readings with the distance to the lit point."""
+    """What came by: frames and readings, these with the time, s, and the distance to the lit point."""
 
-    frames_ns: list[int] = field(default_factory=list)
-    readings_ns: list[int] = field(default_factory=list)
-    lit_m: list[float] = field(default_factory=list)
+    frames: Stamps = field(default_factory=Stamps)
+    readings: Stamps = field(default_factory=Stamps)
+    lit: Thinned[tuple[float, float]] = field(default_factory=Thinned)
     interrupted: bool = False
 
 
@@ -79,8 +86,18 @@ class Report:
     files: list[Path]
 
 
-def run(job: Job, out: Path, *, record: bool = False, progress: Progress = lambda done, total: None) -> Report:
-    """Take the source to its end, or to Ctrl-C, and write the run's folder. InputError where that cannot be done."""
+def run(
+    job: Job,
+    out: Path,
+    *,
+    record: bool = False,
+    progress: Progress = lambda done, total: None,
+    control: Control | None = None,
+) -> Report:
+    """Take the source to its end, or to Ctrl-C, and write the run's folder. InputError where that cannot be done.
+
+    control: for whoever wants to record, to stop and to mark while it runs.
+    """
     folder.check_folder(out, job.source.name)
     folder.make_folder(out)
     (out / folder.CONFIG).write_text(job.config.dump(), encoding="utf-8")
@@ -89,10 +106,14 @@ def run(job: Job, out: Path, *, record: bool = False, progress: Progress = lambd
     with ExitStack() as stack:
         stack.callback(job.source.close)
         watch = Watch(job.source, job.rig, job.detector)
-        tracks = _tracks(job, out, record, stack, watch)
-        passed = _drive(job, tracks, progress)
+        tracks = _tracks(job, out, stack, watch)
+        recorder = _recorder(job, out, control or Control(), tracks[0], watch)
+        stack.callback(recorder.stop)
+        if record:
+            recorder.start(out / folder.RECORDING)
+        passed = _drive(job, tracks, recorder, progress)
     wall_s = time.perf_counter() - start_s
-    errors = {track.name: compare(track.solutions, job.source.truth, job.target) for track in tracks}
+    errors = {track.name: compare(track.solutions.values, job.source.truth, job.target) for track in tracks}
     summary = _summary(job, tracks, passed, errors, wall_s)
     summary["health"] = watch.health.summary()
     if isinstance(tracks[0].localizer, SmoothingLocalizer):
@@ -100,40 +121,52 @@ def run(job: Job, out: Path, *, record: bool = False, progress: Progress = lambd
         summary["smoothed"] = {"accuracy": accuracy(compare(smoothed, job.source.truth, job.target))}
     (out / folder.SUMMARY).write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
     _plot(job, tracks, passed, errors, out / folder.PICTURE)
-    written = [out / name for name in (*folder.OURS, *([folder.RECORDING] if record else ()))]
-    return Report(out, summary, errors, [path for path in written if path.exists()])
+    return Report(out, summary, errors, folder.written(out, recorder.files))
 
 
-def _tracks(job: Job, out: Path, record: bool, stack: ExitStack, watch: Watch) -> list[Track]:
+def _tracks(job: Job, out: Path, stack: ExitStack, watch: Watch) -> list[Track]:
     tracks = []
     for number, (name, localizer) in enumerate(job.methods.items()):
         main = number == 0
         sinks: list[Sink] = [SolutionsCsv(out / (folder.SOLUTIONS if main else folder.solutions_name(name)))]
-        stack.callback(sinks[0].close)
-        if main and record:
-            sinks.append(McapSink(out / folder.RECORDING, job.rig, job.source.truth))
-            stack.callback(sinks[1].close)
         if main:
-            for sink in job.outputs:
-                sinks.append(sink)
-                stack.callback(sink.close)
-        tracks.append(Track(name, localizer, [watch.outlet(sink) for sink in sinks], watch if main else None))
+            sinks += [EventsCsv(out / folder.EVENTS), *job.outputs]
+        outlets = [watch.outlet(sink) for sink in sinks]
+        for outlet in outlets:
+            stack.callback(outlet.close)
+        tracks.append(Track(name, localizer, outlets, watch if main else None))
     return tracks
 
 
-def _drive(job: Job, tracks: list[Track], progress: Progress) -> Passed:
+def _recorder(job: Job, out: Path, control: Control, main: Track, watch: Watch) -> Recorder:
+    def opened(path: Path) -> Sink:
+        return McapSink(path, job.rig, job.source.truth)
+
+    return Recorder(out, main.sinks, control, opened, watch, lambda: job.source.now_ns)
+
+
+def _drive(job: Job, tracks: list[Track], recorder: Recorder, progress: Progress) -> Passed:
     passed = Passed()
+    tell = job.source.idle
+
+    def idle() -> None:
+        recorder.poll()
+        if tell is not None:
+            tell()
+
+    job.source.idle = idle
     try:
         for sample in job.source:
+            recorder.poll()
             if isinstance(sample, StereoFrame):
                 _require_size(job.rig, sample)
-                passed.frames_ns.append(sample.t_ns)
+                passed.frames.add(sample.t_ns)
             elif isinstance(sample, LaserRange):
                 _note_reading(passed, job.rig, sample)
             for track in tracks:
                 track.take(sample)
             if isinstance(sample, StereoFrame):
-                progress(len(passed.frames_ns), job.source.frame_count)
+                progress(passed.frames.count, job.source.frame_count)
     except KeyboardInterrupt:
         passed.interrupted = True
     return passed
@@ -149,9 +182,9 @@ def _write_smoothed(localizer: SmoothingLocalizer, path: Path) -> list[Solution]
 
 
 def _note_reading(passed: Passed, rig: Rig, reading: LaserRange) -> None:
-    passed.readings_ns.append(reading.t_ns)
+    passed.readings.add(reading.t_ns)
     lit = float("nan") if rig.laser is None else float(np.linalg.norm(rig.laser.point_m(reading.range_m)))
-    passed.lit_m.append(lit)
+    passed.lit.append((reading.t_s, lit))
 
 
 def _require_size(rig: Rig, frame: StereoFrame) -> None:
@@ -175,25 +208,25 @@ def _summary(job: Job, tracks: list[Track], passed: Passed, errors: dict[str, Er
         "seed": job.seed,
         "live": _live(job.source),
         "interrupted": passed.interrupted,
-        "frames": len(passed.frames_ns),
-        "readings": len(passed.readings_ns),
-        **summarise(main.solutions),
+        "frames": passed.frames.count,
+        "readings": passed.readings.count,
+        **main.tally.summary(),
         "agreement": main.localizer.notices,
         "notices": {"counts": job.source.notice_counts, "first": [str(notice) for notice in notices[:NOTICES_KEPT]]},
-        "frame_rate_hz": rates(passed.frames_ns),
-        "reading_rate_hz": rates(passed.readings_ns),
+        "frame_rate_hz": passed.frames.rate_hz,
+        "reading_rate_hz": passed.readings.rate_hz,
         "wall_s": wall_s,
-        "frames_per_s": len(passed.frames_ns) / wall_s if wall_s > 0 else None,
-        "step_ms": step_times_ms(main.steps_s),
-        "pixel_cost": _pixel_cost(job.rig, main.solutions),
+        "frames_per_s": passed.frames.count / wall_s if wall_s > 0 else None,
+        "step_ms": main.steps_s.times_ms(),
+        "pixel_cost": _pixel_cost(job.rig, main.solutions.values),
         "accuracy": accuracy(errors[main.name], own_point=main.name == "paper"),
         "versions": versions(),
     }
     if len(tracks) > 1:
         summary["beside"] = {
             track.name: {
-                **summarise(track.solutions),
-                "step_ms": step_times_ms(track.steps_s),
+                **track.tally.summary(),
+                "step_ms": track.steps_s.times_ms(),
                 "accuracy": accuracy(errors[track.name], own_point=track.name == "paper"),
             }
             for track in tracks[1:]
@@ -219,7 +252,7 @@ def _pixel_cost(rig: Rig, solutions: list[Solution]) -> dict[str, float] | None:
 def _plot(job: Job, tracks: list[Track], passed: Passed, errors: dict[str, Errors], path: Path) -> None:
     from leadline.evaluation.plot import Curve, Picture, plot_run  # noqa: PLC0415  matplotlib is slow to import
 
-    curves = [Curve(t.name, t.solutions, errors[t.name], t.name == "paper") for t in tracks]
-    laser: Array = np.column_stack([np.array(passed.readings_ns, dtype=np.float64) / 1e9, passed.lit_m])
+    curves = [Curve(t.name, t.solutions.values, errors[t.name], t.name == "paper") for t in tracks]
+    laser: Array = np.array(passed.lit.values, dtype=np.float64).reshape(-1, 2)
     title = f"{Path(job.source.name).name} · {job.target.name} · {curves[0].name}"
     plot_run(path, Picture(title, curves[0], job.source.truth, laser, curves[1] if len(curves) > 1 else None))

@@ -233,8 +233,6 @@ class LocalizerNode(Working):
                 if isinstance(sample, StereoFrame):
                     require_size(job.rig, job.source)
                 track.take(sample)
-                track.solutions.clear()  # a node has no end: nothing is kept
-                track.steps_s.clear()
         finally:
             for outlet in outlets:
                 outlet.close()

@@ -9,13 +9,16 @@ import numpy as np
 
 from leadline.errors import InputError
 from leadline.health import Condition, Health, Part, State
+from leadline.pipeline.worker import Clock, Job, Worker
 from leadline.recognition.finder import Finder
 from leadline.rig import Rig
 from leadline.samples import NS_PER_S, Detection, Sample, Solution, Status, StereoFrame
-from leadline.sinks import HealthSink, Sink
+from leadline.sinks import CheckedSink, EventSink, HealthSink, Sink
+from leadline.sinks.control import Event
 from leadline.sources import Source
 
 TOLD_EVERY_S = 1.0
+CLOSE_S = 10.0  # for a sink to finish what waits
 IN_VIEW = 0.1  # a target must be this far from the image's edge (part of its size) to be missed by the detector
 DETECTED_WITHIN_M = (0.7, 3.0)  # nearer it fills the view, farther it may be too small
 
@@ -23,13 +26,13 @@ DETECTED_WITHIN_M = (0.7, 3.0)  # nearer it fills the view, farther it may be to
 class WatchedFinder:
     """A detector, timed. live: an error of its is told and counts as no detection; the dive goes on without it."""
 
-    def __init__(self, finder: Finder, *, live: bool) -> None:
-        self._finder, self._live = finder, live
+    def __init__(self, finder: Finder, *, live: bool, clock: Clock = time.perf_counter) -> None:
+        self._finder, self._live, self._clock = finder, live, clock
         self.took_s = 0.0
         self.error = ""
 
     def find(self, frame: StereoFrame) -> list[Detection]:
-        start_s = time.perf_counter()
+        start_s = self._clock()
         self.error = ""
         try:
             return self._finder.find(frame)
@@ -39,57 +42,103 @@ class WatchedFinder:
             self.error = f"{type(error).__name__}: {error}"
             return []
         finally:
-            self.took_s = time.perf_counter() - start_s
+            self.took_s = self._clock() - start_s
 
 
 class Outlet:
-    """A sink whose work is watched. live: an error of its (a full disk) is told, and the dive goes on without it."""
+    """A sink whose work is watched.
 
-    def __init__(self, sink: Sink, health: Health, now_ns: Callable[[], int], *, live: bool) -> None:
-        self._sink, self._health, self._now_ns, self._live = sink, health, now_ns, live
+    live: it works in its own thread; an error of its (a full disk) is told, and the dive goes on without it.
+    """
+
+    def __init__(self, sink: Sink, health: Health, now_ns: Callable[[], int], *, live: bool, clock: Clock) -> None:
+        self._sink, self._health, self._now_ns, self._clock = sink, health, now_ns, clock
+        self._took_s = 0.0  # for one sample and what followed it, where there is no thread
         self._part: Part = getattr(sink, "part", Part.OUTPUT)
-        self._took_s = 0.0  # for one sample and what followed it
+        self.worker = Worker(type(sink).__name__, clock) if live else None
+
+    @property
+    def dropped(self) -> int:
+        """Jobs that it could not do in time."""
+        return 0 if self.worker is None else self.worker.dropped
 
     def sample(self, sample: Sample) -> None:
-        self._do(lambda: self._sink.sample(sample))
+        self._do(lambda: self._sink.sample(sample), picture=isinstance(sample, StereoFrame))
 
     def detections(self, frame: StereoFrame, detections: Sequence[Detection]) -> None:
-        self._do(lambda: self._sink.detections(frame, detections))
+        kept = list(detections)
+        self._do(lambda: self._sink.detections(frame, kept), picture=True)
 
     def solution(self, solution: Solution) -> None:
-        if self._do(lambda: self._sink.solution(solution)):
-            self._health.done(self._part, self._now_ns(), self._took_s)
-        self._took_s = 0.0
+        self._do(lambda: self._conclude(solution), last=True)
 
     def health(self, conditions: Sequence[Condition], now_ns: int) -> None:
         if isinstance(self._sink, HealthSink):
-            self._sink.health(conditions, now_ns)
+            sink = self._sink
+            self._do(lambda: sink.health(conditions, now_ns))
+
+    def event(self, event: Event) -> None:
+        if isinstance(self._sink, EventSink):
+            sink = self._sink
+            self._do(lambda: sink.event(event))
+
+    def collect(self) -> None:
+        """Tell the health what has been done since, and what has not."""
+        if self.worker is None:
+            return
+        now_ns = self._now_ns()
+        for answer in self.worker.answers():
+            if isinstance(answer.error, InputError):
+                raise answer.error
+            fault = None if answer.error is None else _as_verdict(answer.error)
+            late_s = (now_ns - answer.given_ns) / NS_PER_S - answer.took_s
+            self._health.done(self._part, now_ns, answer.took_s, fault, late_s)
+        if (waiting_ns := self.worker.waiting_ns) is not None:
+            self._health.asked(self._part, waiting_ns, now_ns)
 
     def close(self) -> None:
-        self._sink.close()
+        """Finish what waits, but for a sink that hangs: it is left to itself."""
+        if self.worker is None or self.worker.close(CLOSE_S):
+            self._sink.close()
 
-    def _do(self, work: Callable[[], None]) -> bool:
-        """Whether it went well."""
-        start_s = time.perf_counter()
-        try:
+    def _conclude(self, solution: Solution) -> None:
+        self._sink.solution(solution)
+        if isinstance(self._sink, CheckedSink) and (amiss := self._sink.check()) is not None:
+            raise Amiss(amiss)
+
+    def _do(self, work: Callable[[], None], *, picture: bool = False, last: bool = False) -> None:
+        if self.worker is None:
+            start_s = self._clock()
             work()
-        except InputError:
-            raise
-        except Exception as error:
-            if not self._live:
-                raise
-            why = f"{error}" if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
-            self._health.done(self._part, self._now_ns(), time.perf_counter() - start_s, (State.OFF, why))
-            return False
-        self._took_s += time.perf_counter() - start_s
-        return True
+            self._took_s += self._clock() - start_s
+            if last:
+                self._health.done(self._part, self._now_ns(), self._took_s)
+                self._took_s = 0.0
+            return
+        self.worker.give(Job(work, self._now_ns(), picture, last))
+        self.collect()
+
+
+class Amiss(Exception):  # noqa: N818  what a sink found wrong with its own work
+    def __init__(self, verdict: tuple[State, str]) -> None:
+        super().__init__(verdict[1])
+        self.verdict = verdict
+
+
+def _as_verdict(error: Exception) -> tuple[State, str]:
+    if isinstance(error, Amiss):
+        return error.verdict
+    return State.OFF, f"{error}" if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
 
 
 class Watch:
     """Feeds a run's health and tells it to the sinks that take it."""
 
-    def __init__(self, source: Source, rig: Rig, finder: WatchedFinder | None) -> None:
+    def __init__(
+        self, source: Source, rig: Rig, finder: WatchedFinder | None, clock: Clock = time.perf_counter
+    ) -> None:
         self.health = Health()
+        self._clock = clock
         self._source, self._rig, self._finder = source, rig, finder
         self._outlets: list[Outlet] = []
         self._told: tuple[tuple[Condition, ...], int] = (), 0
@@ -98,9 +147,14 @@ class Watch:
         source.idle = self.tell
 
     def outlet(self, sink: Sink) -> Outlet:
-        outlet = Outlet(sink, self.health, lambda: self._source.now_ns, live=self._source.live)
+        outlet = Outlet(sink, self.health, lambda: self._source.now_ns, live=self._source.live, clock=self._clock)
         self._outlets.append(outlet)
         return outlet
+
+    def release(self, outlet: Outlet) -> None:
+        """Close it and tell it nothing more."""
+        self._outlets.remove(outlet)
+        outlet.close()
 
     def found(self, frame: StereoFrame, detections: Sequence[Detection]) -> None:
         """What the detector answered for a frame."""
@@ -119,6 +173,8 @@ class Watch:
 
     def tell(self) -> None:
         """To the sinks: what has changed, and all of it once a second."""
+        for outlet in self._outlets:
+            outlet.collect()
         now_ns, conditions = self._source.now_ns, self.health.conditions
         if conditions is self._told[0] and now_ns - self._told[1] < TOLD_EVERY_S * NS_PER_S:
             return

@@ -9,11 +9,15 @@
 | slow | only every ``size``-th sample comes |
 | delayed | samples arrive ``size`` seconds later |
 | intermittent | each sample is lost with probability ``size`` |
+
+Of one camera of two, slow and intermittent are pairs that hold its last picture again, delayed are pairs that hold an
+older one; ``left_t_ns`` and ``right_t_ns`` then tell, as drivers do, when each was taken.
 """
 
 from __future__ import annotations
 
 import heapq
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Literal
@@ -44,8 +48,6 @@ class Fault(BaseModel):
     def _fits(self) -> Fault:
         if self.end_s is not None and self.end_s <= self.start_s:
             raise ValueError("end_s must be after start_s")
-        if self.sensor in ("left", "right") and self.mode in ("slow", "delayed", "intermittent"):
-            raise ValueError(f"{self.mode} is of the whole camera, not of its {self.sensor} half")
         if self.mode == "slow" and self.amount < 1:
             raise ValueError("size of slow must be 1 or more")
         return self
@@ -55,6 +57,11 @@ class Fault(BaseModel):
         if self.size is not None:
             return self.size
         return _WRONG_RANGE_M if (self.mode, self.sensor) == ("wrong", "laser") else _SIZES.get(self.mode, 0.0)
+
+    @property
+    def late_half(self) -> bool:
+        """One camera of two gives older pictures than the other."""
+        return self.mode == "delayed" and self.sensor in ("left", "right")
 
     def concerns(self, sample: Sample) -> bool:
         sensed = LaserRange if self.sensor == "laser" else StereoFrame
@@ -67,7 +74,7 @@ def inject(samples: Iterable[Sample], faults: Sequence[Fault], rng: np.random.Ge
     stream = iter(samples)
     for fault in faults:
         stream = _one(stream, fault, rng)
-        if fault.mode == "delayed":
+        if fault.mode == "delayed" and fault.sensor in ("camera", "laser"):
             stream = _by_arrival(stream, fault.amount)
     return stream
 
@@ -76,7 +83,7 @@ def _one(samples: Iterable[Sample], fault: Fault, rng: np.random.Generator) -> I
     change = _Change(fault, rng)
     for sample in samples:
         changed = change(sample) if fault.concerns(sample) else sample
-        if changed is sample:
+        if changed is sample or fault.late_half:
             change.remember(sample)
         if changed is not None:
             yield changed
@@ -88,25 +95,43 @@ class _Change:
     def __init__(self, fault: Fault, rng: np.random.Generator) -> None:
         self._fault, self._rng = fault, rng
         self._last: Sample | None = None
+        self._older: deque[StereoFrame] = deque()  # of the last ``amount`` seconds
         self._count = 0
 
     def remember(self, sample: Sample) -> None:
         if isinstance(sample, LaserRange if self._fault.sensor == "laser" else StereoFrame):
             self._last = sample
+        if self._fault.late_half and isinstance(sample, StereoFrame):
+            self._older.append(sample)
+            while len(self._older) > 1 and self._older[1].t_ns <= sample.t_ns - self._fault.amount * NS_PER_S:
+                self._older.popleft()
 
     def __call__(self, sample: Sample) -> Sample | None:
         fault = self._fault
         match fault.mode:
-            case "slow":
+            case "slow" | "intermittent":
                 self._count += 1
-                return sample if self._count % round(fault.amount) == 1 % round(fault.amount) else None
-            case "intermittent":
-                return None if self._rng.random() < fault.amount else sample
+                return self._without(sample) if self._is_lost() else sample
             case "delayed":
+                if fault.late_half:
+                    assert isinstance(sample, StereoFrame)
+                    return _half(sample, self._older[0] if self._older else sample, fault.sensor)
                 arrival_ns = sample.t_ns if sample.arrival_ns is None else sample.arrival_ns
                 return replace(sample, arrival_ns=arrival_ns + round(fault.amount * NS_PER_S))
         assert not isinstance(sample, VehicleMotion)  # no fault concerns it
         return self._range(sample) if isinstance(sample, LaserRange) else self._frame(sample)
+
+    def _is_lost(self) -> bool:
+        if self._fault.mode == "intermittent":
+            return bool(self._rng.random() < self._fault.amount)
+        return self._count % round(self._fault.amount) != 1 % round(self._fault.amount)
+
+    def _without(self, sample: Sample) -> StereoFrame | None:
+        """The pair with the last picture of the camera that gave no new one; nothing where it is the whole sensor."""
+        if self._fault.sensor in ("camera", "laser") or not isinstance(self._last, StereoFrame):
+            return None
+        assert isinstance(sample, StereoFrame)
+        return _half(sample, self._last, self._fault.sensor)
 
     def _range(self, sample: LaserRange) -> LaserRange | None:
         match self._fault.mode:
@@ -148,6 +173,16 @@ class _Change:
             case "garbage":
                 return lambda now, _: self._rng.integers(0, 256, now.shape, np.uint8)
         return lambda now, _: np.roll(now, round(self._fault.amount), axis=1)
+
+
+def _half(frame: StereoFrame, older: StereoFrame, side: Sensor) -> StereoFrame:
+    """One picture of ``frame`` replaced by that of ``older``, with the time when it was taken."""
+    left_ns, right_ns = (frame.t_ns if t_ns is None else t_ns for t_ns in (frame.left_t_ns, frame.right_t_ns))
+    if side == "left":
+        was_ns = older.t_ns if older.left_t_ns is None else older.left_t_ns
+        return replace(frame, left=older.left, left_t_ns=was_ns, right_t_ns=right_ns, encoded=None)
+    was_ns = older.t_ns if older.right_t_ns is None else older.right_t_ns
+    return replace(frame, right=older.right, left_t_ns=left_ns, right_t_ns=was_ns, encoded=None)
 
 
 def _by_arrival(samples: Iterable[Sample], delay_s: float) -> Iterator[Sample]:
