@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from leadline import cli_calibrate, cli_dataset, cli_evaluate, cli_plan, cli_train
+from leadline import cli_calibrate, cli_dataset, cli_evaluate, cli_plan, cli_recover, cli_train
 from leadline.cli_progress import progress
+from leadline.cli_view import ViewAt, ViewFlag, watched_run
 from leadline.errors import InputError
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ app.command("board")(cli_calibrate.board)
 app.command("plan")(cli_plan.plan)
 app.command("train")(cli_train.train)
 app.command("dataset")(cli_dataset.dataset)
+app.command("recover")(cli_recover.recover)
 
 
 class MethodName(StrEnum):
@@ -103,16 +105,19 @@ def demo(
     out: Annotated[Path, typer.Option(help="Folder for what the demo writes.")] = Path("out/demo"),
     seed: Annotated[int, typer.Option(min=0, help="Of the simulation.")] = 0,
     headless: Annotated[bool, typer.Option("--headless", help="Never open a window or a browser.")] = False,
+    view: ViewFlag = False,
+    view_at: ViewAt = None,
 ) -> None:
     """A simulated dive through the whole chain, ours beside the paper's method. Needs nothing."""
     from leadline.cli_tables import beside  # noqa: PLC0415  heavy imports wait until a command needs them
-    from leadline.pipeline.demo import demo as run_demo  # noqa: PLC0415
+    from leadline.pipeline.demo import demo_job  # noqa: PLC0415
 
-    with progress("simulating and locating") as tick:
-        report = run_demo(out, tick, seed=seed)
-    _print_report(report, detailed=False)
-    Console().print(beside(report.errors["fused"], report.errors["paper"]))
-    _print_files(report)
+    what = "simulating and locating"
+    job = demo_job(seed=seed, real_time=view or view_at is not None)
+    with watched_run(job, out, what, record=False, view=view, at=view_at, headless=headless) as report:
+        _print_report(report, detailed=False)
+        Console().print(beside(report.errors["fused"], report.errors["paper"]))
+        _print_files(report)
 
 
 @app.command()
@@ -138,6 +143,8 @@ def run(
     ] = False,
     record: Annotated[bool, typer.Option("--record", help="Also write dive.mcap.")] = False,
     headless: Annotated[bool, typer.Option("--headless", help="Never open a window or a browser.")] = False,
+    view: ViewFlag = False,
+    view_at: ViewAt = None,
     real_time: Annotated[bool, typer.Option("--real-time", help="At the dive's own pace.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of a simulation.")] = 0,
     mavlink: Annotated[
@@ -148,7 +155,6 @@ def run(
 ) -> None:
     """Locate the target in a dive: solutions.csv, a summary and a picture."""
     from leadline.pipeline import build_job  # noqa: PLC0415
-    from leadline.pipeline import run as run_job  # noqa: PLC0415
 
     job = build_job(
         source,
@@ -161,14 +167,13 @@ def run(
         water_state=water_state,
         filtered=not no_filter,
         smoothed=smooth,
-        real_time=real_time,
+        real_time=real_time or view or view_at is not None,
         seed=seed,
         mavlink=mavlink,
     )
-    with progress("locating") as tick:
-        report = run_job(job, out, record=record, progress=tick)
-    _print_report(report, detailed=True)
-    _print_files(report)
+    with watched_run(job, out, "locating", record=record, view=view, at=view_at, headless=headless) as report:
+        _print_report(report, detailed=True)
+        _print_files(report)
 
 
 @app.command()
