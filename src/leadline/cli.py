@@ -150,6 +150,9 @@ def run(
     mavlink: Annotated[
         str | None, typer.Option(metavar="URL", help="Tell an autopilot: udpout:HOST:PORT or /dev/ttyACM0?baud=115200.")
     ] = None,
+    ros2: Annotated[
+        bool, typer.Option("--ros2", help="Also publish the results as ROS 2 topics (docs/ros2.md).")
+    ] = False,
     provider: Annotated[ProviderName | None, typer.Option(help="What the detector runs on; default: cpu.")] = None,
     config: Annotated[Path | None, typer.Option(help="Settings (see `leadline config dump`).")] = None,
 ) -> None:
@@ -170,6 +173,7 @@ def run(
         real_time=real_time or view or view_at is not None,
         seed=seed,
         mavlink=mavlink,
+        ros2=ros2,
     )
     with watched_run(job, out, "locating", record=record, view=view, at=view_at, headless=headless) as report:
         _print_report(report, detailed=True)

@@ -8,6 +8,7 @@ from typing import Literal, Protocol
 
 from leadline.config import Config
 from leadline.errors import InputError
+from leadline.evaluation.drawing import draw_detections
 from leadline.guidance import Guide, camera_on_body
 from leadline.localizer import Localizer, SmoothingLocalizer
 from leadline.paper import PaperLocalizer
@@ -67,6 +68,7 @@ def build_job(
     real_time: bool = False,
     seed: int = 0,
     mavlink: str | None = None,
+    ros2: bool = False,
 ) -> Job:
     """Open and check everything that a run needs before it writes its first file. InputError says what is wrong."""
     if model is not None and boxes is not None:
@@ -91,16 +93,31 @@ def build_job(
         seed=seed,
         filtered=filtered,
         detector=watched,
-        outputs=() if mavlink is None else (_mavlink(mavlink, rig, config),),
+        outputs=_outputs(mavlink, ros2, rig, config),
     )
 
 
-def _mavlink(url: str, rig: Rig, config: Config) -> Sink:
+def _outputs(mavlink: str | None, ros2: bool, rig: Rig, config: Config) -> tuple[Sink, ...]:
+    guide = Guide(rig, config.guidance)
+    return (*([] if mavlink is None else [_mavlink(mavlink, guide)]), *([_ros2(rig, guide)] if ros2 else []))
+
+
+def _ros2(rig: Rig, guide: Guide) -> Sink:
+    from leadline.sinks.ros2 import Ros2Sink  # noqa: PLC0415
+    from leadline.wire.ros2_node import Ros  # noqa: PLC0415
+
+    ros = Ros()
+    node = ros.node("leadline_run")
+    ros.start()
+    return Ros2Sink(node, rig, guide, draw_detections, ros.close)
+
+
+def _mavlink(url: str, guide: Guide) -> Sink:
     from leadline.sinks.mavlink import MavlinkSink  # noqa: PLC0415  an extra
     from leadline.wire.mavlink import MavlinkLink  # noqa: PLC0415
 
     try:
-        return MavlinkSink(MavlinkLink(url), Guide(rig, config.guidance))
+        return MavlinkSink(MavlinkLink(url), guide)
     except OSError as error:
         raise InputError(f"cannot be opened ({error})", f"--mavlink {url}", "check the address or the port") from error
 

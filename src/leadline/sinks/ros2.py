@@ -22,10 +22,12 @@ Draw = Callable[[Image, Sequence[Detection]], Image]
 
 
 class Ros2Sink:
-    """draw: makes the annotated picture, which is sent only while somebody listens."""
+    """draw: makes the annotated picture, which is sent only while somebody listens. close: lets go of the node."""
 
-    def __init__(self, node: RosNode, rig: Rig, guide: Guide, draw: Draw) -> None:
-        self._guide, self._draw, self._rig = guide, draw, rig
+    def __init__(
+        self, node: RosNode, rig: Rig, guide: Guide, draw: Draw, close: Callable[[], None] = lambda: None
+    ) -> None:
+        self._guide, self._draw, self._rig, self._close = guide, draw, rig, close
         self._target = _must(node, topics.TARGET)
         self._point = _must(node, TARGET_POINT, "geometry_msgs/msg/PointStamped")
         self._diagnostics = _must(node, topics.DIAGNOSTICS)
@@ -63,7 +65,7 @@ class Ros2Sink:
         self._diagnostics.send(results.health_message(conditions, now_ns))
 
     def close(self) -> None:
-        """Nothing: the topics are the node's."""
+        self._close()
 
 
 class Ros2Samples:

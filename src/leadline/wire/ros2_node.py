@@ -146,14 +146,14 @@ class RosNode:
         made = message_class(kind)
         if made is None:
             raise InputError(f"{kind} is not installed", topic, f"apt install ros-$ROS_DISTRO-{_package(kind)}")
-        self._subscriptions.append(self._node.create_subscription(made, topic, take, _qos(reliable)))
+        self._subscriptions.append(self._node.create_subscription(made, _named(topic), take, _qos(reliable)))
 
     def publisher(self, topic: str, kind: str, *, reliable: bool = True, latched: bool = False) -> Publisher | None:
         """None where this robot has no such message."""
         made = message_class(kind)
         if made is None:
             return None
-        publisher = self._node.create_publisher(made, topic, _qos(reliable, latched))
+        publisher = self._node.create_publisher(made, _named(topic), _qos(reliable, latched))
         self._publishers.append(publisher)
         return Publisher(publisher, made)
 
@@ -190,6 +190,11 @@ def _rclpy() -> Any:
     except ImportError as error:
         fix = "source /opt/ros/$ROS_DISTRO/setup.bash, and run with the Python that ROS runs with"
         raise InputError(f"ROS 2 is not here ({error})", "rclpy", fix) from None
+
+
+def _named(topic: str) -> str:
+    """Our own topics follow the node's namespace; without one they are where a recording has them."""
+    return topic.removeprefix("/") if topic.startswith("/leadline/") else topic
 
 
 def _package(kind: str) -> str:
