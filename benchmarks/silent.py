@@ -94,7 +94,7 @@ def main(words: Sequence[str] | None = None) -> bool:
     parser.add_argument("first", type=int, nargs="?", default=0)
     parser.add_argument("--draws", type=int, default=1, help="of faults, for the pictures of each dive")
     parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--renders", type=Path, help="folder where what was rendered is kept, 10 MB a dive, for this version")
+    parser.add_argument("--renders", type=Path, help="folder that keeps renders of this version, 10 MB a dive")
     asked = parser.parse_args(words)
     job = partial(solve_all_draws, draws=range(asked.draws), renders=asked.renders)
     results: list[Result] = []
