@@ -17,7 +17,7 @@ from leadline.config import Config
 from leadline.evaluation.plan import AIMED, Rehearsal, aimed, places
 from leadline.evaluation.plan_advice import ranked
 from leadline.evaluation.plan_rig import Drawing, with_expected_calibration
-from leadline.evaluation.plan_sight import PICKED, Conditions, expected_points, vector_at
+from leadline.evaluation.plan_sight import MATCHED, Conditions, expected_points, vector_at
 from leadline.evaluation.plan_view import FINE_M, hand_overs, views
 from leadline.geometry import Pose
 from leadline.ranging.calibration_error import position_cov
@@ -73,13 +73,13 @@ def test_stereo_scales_as_it_must(target: Target) -> None:
 
 
 def test_patch_noise_is_the_limit_of_its_pixels() -> None:
-    """Cramer and Rao: sigma^2 = 2 noise^2 / sum of squared slopes; shrinking the image changes nothing."""
+    """Cramer and Rao: sigma^2 = 2 noise^2 / sum of squared slopes; a shrunk image's pixels are larger."""
     c = Conditions(noise_grey=2.0, texture_grey_px=4.0, attenuation_per_m=0.0)
-    assert c.match_sigma_px(1.0, 0.0, 10, 0) == pytest.approx(np.sqrt(2 * 4 / (100 * 16)) / PICKED)
-    assert c.match_sigma_px(1.0, 0.0, 10, 2) == pytest.approx(c.match_sigma_px(1.0, 0.0, 10, 0))
+    assert c.match_sigma_px(1.0, 0.0, 10, 0) == pytest.approx(np.sqrt(2 * 4 / (100 * 16)) / MATCHED)
+    assert 4 * c.match_sigma_px(1.0, 0.0, 10, 2) == pytest.approx(c.match_sigma_px(1.0, 0.0, 10, 0))
     murky = dataclasses.replace(c, attenuation_per_m=1.0)
     assert murky.match_sigma_px(2.0, 0.0, 10, 0) == pytest.approx(c.match_sigma_px(2.0, 0.0, 10, 0) * np.exp(2))
-    assert c.match_sigma_px(1.0, 0.1, 1e6, 1) == pytest.approx(0.1 * c.unlike_px_per_rad)
+    assert 2 * c.match_sigma_px(1.0, 0.1, 1e6, 1) == pytest.approx(0.1 * c.unlike_px_per_rad)
 
 
 def test_patches_that_overlap_do_not_count_twice() -> None:

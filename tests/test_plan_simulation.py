@@ -78,7 +78,10 @@ class TrueBox:
 
 
 def pictures(dive: SimulatedDive, distance_m: float, seed: int) -> tuple[float, float]:
-    """Noise of a pixel, and RMS slope along a row within the ball of the image as it is matched, in grey levels."""
+    """Noise of a pixel, and RMS slope along a row of the image as it is matched, about its mean over a patch (grey).
+
+    Over the places whose patches stand wholly on the ball.
+    """
     first = frames_of(dive)[0]
     clean = frames_of(dive_at(distance_m, 1, seed, noisy=False))[0].left
     a, b = (cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(float) for image in (first.left, clean))
@@ -86,13 +89,20 @@ def pictures(dive: SimulatedDive, distance_m: float, seed: int) -> tuple[float, 
     noise = float((a - b)[_inside(a, box)].std())
     for _ in range(max(0, round(np.log2(box[2:].max() / CONFIG.stereo.target_px)))):
         b, box = cv2.resize(b, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), box / 2
-    return noise, float(np.sqrt((np.gradient(b, axis=1)[_inside(b, box)] ** 2).mean()))
+    slope, side = np.gradient(b, axis=1), 2 * CONFIG.stereo.half_px + 1
+    local = cv2.blur(slope**2, (side, side)) - cv2.blur(slope, (side, side)) ** 2
+    return noise, float(np.sqrt(local[_inside(b, box, side)].mean()))
 
 
-def _inside(image: Array, box: Array) -> np.ndarray:
+def _inside(image: Array, box: Array, patch_px: int = 0) -> np.ndarray:
+    """The pixels that stand on the ball, with a patch around them."""
     x, y, w, h = box
     v, u = np.mgrid[0 : image.shape[0], 0 : image.shape[1]]
-    return np.asarray(((u - x - w / 2) / (w / 2)) ** 2 + ((v - y - h / 2) / (h / 2)) ** 2 < 0.81)
+    across, down = 2 * (u - x - w / 2) / (w - patch_px), 2 * (v - y - h / 2) / (h - patch_px)
+    whole = (
+        (np.minimum(u, v) > patch_px / 2) & (u < image.shape[1] - patch_px / 2) & (v < image.shape[0] - patch_px / 2)
+    )
+    return np.asarray((across**2 + down**2 < 0.9) & whole)
 
 
 @cache

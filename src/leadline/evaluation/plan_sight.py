@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,8 +20,10 @@ from leadline.localizer.sight import Found, Sight
 from leadline.ranging.beam import BeamRanger
 from leadline.ranging.coarse import Box
 from leadline.ranging.focus import narrowed
-from leadline.ranging.layout import cells, levels, patch_size, round_inset
-from leadline.ranging.shape_fit import Points, fit
+from leadline.ranging.images import Region
+from leadline.ranging.layout import CHOICES, Prediction, cells, levels, patch_size, predicted, round_inset, visible
+from leadline.ranging.shape_fit import Points, caution, fit
+from leadline.ranging.stereo import ENOUGH, LARGER
 from leadline.ranging.surface_fit import fit_surface
 from leadline.rig import Rig, Side
 from leadline.samples import Array, Kind, Measurement, StereoFrame
@@ -29,7 +32,9 @@ from leadline.target import Cylinder, Plane, Sphere, Surface, Target
 SIDES: tuple[Side, Side] = ("left", "right")
 SURFACE_RADIUS_M = 0.2  # of the piece of an unknown surface that the box is taken to show
 MARGIN_PX = 4.0  # from the border of an image
-PICKED = 1.13  # patches are put where the texture is richest: their slope over that of the whole target
+MATCHED = 0.82  # of the texture that a match can use: by its blur, and its free slants, gain and level
+_THIRDS = (np.arange(CHOICES) + 0.5) / CHOICES - 0.5
+PLACES = np.stack(np.meshgrid(_THIRDS, _THIRDS), axis=-1).reshape(-1, 2)  # that are tried in a cell, in its sides
 EDGES = 60  # directions about a ball
 
 
@@ -38,16 +43,16 @@ class Conditions:
     """What the pictures will be like. The defaults are those of the simulator's clear pool, a ball grown over a little.
 
     noise_grey: standard deviation of a pixel, grey levels of 255. texture_grey_px: RMS of the target's grey levels'
-    slope along a row, per pixel of the matched image, from close by; it falls by exp(-attenuation distance), which is
-    water and lens together. unlike_px_per_rad: error of a patch, full-size pixels, for every radian between
-    the directions that the cameras see it from: what two views of one surface do not share (slant, shading). It rules
-    from close by. spot_px: of the spot's centre in one image. frames_hz, readings_hz, seconds: how long the
-    filter has seen the target.
+    slope along a row, about its mean over a patch (shading is no texture), per pixel of the matched image, from close
+    by; it falls by exp(-attenuation distance), which is water and lens together. unlike_px_per_rad: error of a patch,
+    full-size pixels, for every radian between the directions that the cameras see it from: what two views of one
+    surface do not share (slant, shading). It rules from close by. spot_px: of the spot's centre in one image.
+    frames_hz, readings_hz, seconds: how long the filter has seen the target.
     """
 
     noise_grey: float = 1.6
-    texture_grey_px: float = 2.4
-    attenuation_per_m: float = 0.2
+    texture_grey_px: float = 2.7
+    attenuation_per_m: float = 0.05
     unlike_px_per_rad: float = 0.38
     spot_px: float = 0.07
     frames_hz: float = 10.0
@@ -55,15 +60,15 @@ class Conditions:
     seconds: float = 2.0
 
     def match_sigma_px(self, distance_m: float, parallax_rad: float, side_px: float, level: int) -> float:
-        """Of one patch's shift, full-size pixels: the noise limit (both images' noise over the patch's texture), and
+        """Of one patch's shift, pixels of the level: the noise limit (both images' noise over the patch's texture), and
         what the two views do not share.
 
         A texture looks alike at all scales, so that its slope per pixel of the shrunk image is the same; the noise is
-        averaged by shrinking: what remains of the level is nothing.
+        averaged by shrinking.
         """
         texture = self.texture_grey_px * float(np.exp(-self.attenuation_per_m * distance_m))
-        noise_px = np.sqrt(2) * self.noise_grey / 2**level / (PICKED * texture * side_px)
-        return float(np.hypot(noise_px * 2**level, self.unlike_px_per_rad * parallax_rad))
+        noise_px = np.sqrt(2) * self.noise_grey / 2**level / (MATCHED * texture * side_px)
+        return float(np.hypot(noise_px, self.unlike_px_per_rad * parallax_rad / 2**level))
 
 
 def vector_at(target: Target, nearest_m: Array) -> Array:
@@ -121,10 +126,13 @@ def expected_stereo(
         return None
     if isinstance(target, Surface):
         beam = None if rig.laser is None else (rig.laser.origin_m, rig.laser.direction)
-        found = fit_surface(points, beam)
-    else:
-        found = fit(target, points, x, settings.roughness_m)
-    return None if found is None else _expected(Kind.STEREO, x, found.cov)
+        sheet = fit_surface(points, beam)
+        return None if sheet is None else _expected(Kind.STEREO, x, sheet.cov)
+    found = fit(target, points, x, settings.roughness_m)
+    if found is None:
+        return None
+    # What patches share widens the scatter; what the ranger states besides of few of them does not.
+    return _expected(Kind.STEREO, x, found.cov / caution(max(len(points.length_m) - len(x), 1)))
 
 
 def expected_points(
@@ -138,21 +146,45 @@ def expected_points(
         box = narrowed(rig, target, x, box)
     distance, _ = target.range(x)
     _, level = levels(settings, rig.focal_outside_px, box, distance)
-    half, count = patch_size(settings, np.array(box[2:]) / 2**level, level)
-    half_px, side_px = half * 2**level, 2 * half + 1
-    q_px, step_px = _grid(box, half_px, count, round_inset(target))
-    origins, directions = rig.rays(q_px, "left")
-    lengths, _ = target.beam_length(x, origins, directions)
-    points = origins + lengths[:, None] * directions
-    at_px, jacobian = rig.project_with_jacobian(points, "right")
-    seen = _inside(q_px, rig.left, half_px + MARGIN_PX) & np.isfinite(lengths)
-    seen &= _inside(at_px, rig.right, 1.5 * half_px + MARGIN_PX * 2**level)
-    sigma_px = conditions.match_sigma_px(distance, rig.baseline_m / distance, side_px, level)
-    sigma_px *= max(1.0, side_px * 2**level / step_px)  # patches that overlap share their noise
-    if seen.sum() < settings.min_agreed or sigma_px / 2**level > settings.max_sigma_px:
+    rounds = []
+    for larger in (1.0, LARGER):  # as the ranger does
+        half, count = patch_size(settings, np.array(box[2:]) / 2**level, level, larger)
+        tried, expected = _patches(rig, target, x, box, level, half, count)
+        sigma_px = conditions.match_sigma_px(distance, rig.baseline_m / distance, 2 * half + 1, level)
+        rounds.append((expected, half, sigma_px, len(expected.length_m) / sigma_px**2))
+        if len(expected.length_m) > ENOUGH * tried:
+            break
+    expected, half, sigma_px, _ = max(rounds, key=lambda one: one[-1])
+    if len(expected.length_m) < settings.min_agreed or sigma_px > settings.max_sigma_px:
         return None
-    px_per_m = np.linalg.norm(np.einsum("nij,nj->ni", jacobian[seen], directions[seen]), axis=1)
-    return Points(origins[seen], directions[seen], lengths[seen], sigma_px / px_per_m)
+    sigma_px *= float(np.sqrt(shared(expected.warp.centre_px, 2 * half + 1)))
+    return Points(
+        expected.origins_m, expected.directions, expected.length_m, sigma_px * expected.length_m**2 / expected.rate_px_m
+    )
+
+
+def _patches(rig: Rig, target: Target, x: Array, box: Box, level: int, half: int, count: int) -> tuple[int, Prediction]:
+    """How many are tried, and those that stand wholly on what both cameras see of the target."""
+    whole = Region(np.empty((0, 0), np.float32), np.zeros(2), level)
+    low, high = whole.to_here(np.array(box[:2])), whole.to_here(np.array(box[:2]) + box[2:])
+    centre_px = _grid(low + half / 2, high - half / 2, half, count, round_inset(target))
+    expected = predicted(rig, whole, centre_px, half, lambda origins, v: target.beam_length(x, origins, v)[0])
+    keep = visible(expected.warp, rig.right.width // 2**level, rig.right.height // 2**level, 1.5 * half + 4)
+    left_px = np.array([rig.left.width, rig.left.height]) // 2**level
+    keep &= ((centre_px > half) & (centre_px < left_px - half - 1)).all(axis=1)
+    return len(centre_px), expected.pick(keep)
+
+
+def shared(centre_px: Array, side_px: int) -> float:
+    """By how much the variance of a mean of patches (N, 2) exceeds that of patches with no pixel in common.
+
+    A pixel that is in k patches counts k times: sum k^2 / sum k.
+    """
+    at = np.round(centre_px - centre_px.min(axis=0)).astype(int) + side_px
+    middles = np.zeros(at.max(axis=0)[::-1] + side_px)
+    np.add.at(middles, (at[:, 1], at[:, 0]), 1.0)
+    covered = cv2.boxFilter(middles, -1, (side_px, side_px), normalize=False)
+    return float((covered**2).sum() / covered.sum())
 
 
 def _inside(q_px: Array, camera: Camera, margin_px: float) -> NDArray[np.bool_]:
@@ -160,16 +192,20 @@ def _inside(q_px: Array, camera: Camera, margin_px: float) -> NDArray[np.bool_]:
     return np.asarray(((q_px > margin_px) & (q_px < np.array([camera.width, camera.height]) - margin_px)).all(axis=1))
 
 
-def _grid(box: Box, half_px: float, count: int, inset: float | None) -> tuple[Array, float]:
-    """About so many patch middles (N, 2) over the box, or over the ellipse in it, and the step between them, px."""
-    size = np.array(box[2:]) - half_px  # patches stand over the box by half of theirs
-    columns, rows = cells(size, round(half_px), count)
-    across = [(np.arange(n) + 0.5) / n for n in (columns, rows)]
-    part = np.stack(np.meshgrid(*across), axis=-1).reshape(-1, 2)
-    if inset is not None:  # a cell counts if the nearest of the places tried in it is inside
-        nearest = np.maximum(np.abs(2 * part - 1) - 2 / (3 * np.array([columns, rows])), 0.0)
-        part = part[(nearest**2).sum(axis=1) < inset**2]
-    return np.array(box[:2]) + half_px / 2 + part * size, float(np.sqrt(np.prod(size) / (columns * rows)))
+def _grid(low_px: Array, high_px: Array, half: int, count: int, inset: float | None) -> Array:
+    """About so many patch middles (N, 2) between two corners, or in the ellipse there, one in each of the ``cells``.
+
+    On the limb of what is round the ranger finds the richest of the places that it tries farthest out: the limb itself.
+    """
+    size = high_px - low_px
+    columns, rows = cells(size, half, count)
+    middles = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) / n for n in (columns, rows)]), axis=-1).reshape(-1, 1, 2)
+    tried = middles + PLACES / [columns, rows]
+    out = np.linalg.norm(2 * tried - 1, axis=2)
+    inside = out < (np.inf if inset is None else inset)
+    at = np.where(inside.all(axis=1), len(PLACES) // 2, np.where(inside, out, -1.0).argmax(axis=1))
+    part = tried[np.arange(len(tried)), at][inside.any(axis=1)]
+    return np.asarray(low_px + part * size)
 
 
 def expected_size(rig: Rig, target: Target, settings: OutlineConfig, x: Array) -> Measurement | None:

@@ -96,11 +96,18 @@ def trim(target: Target, points: Points, x: Array, roughness_m: float = 0.0) -> 
     residual = np.asarray(target.distance(x, p[agreed])[0] / sigma[agreed])
     freedom = max(len(residual) - len(x), 1)
     misfit = float(np.sqrt(residual @ residual / freedom))
-    few = 1 + 10 / freedom  # a misfit from few points is itself uncertain
     mixed = (len(agreed) / len(residual)) ** 2  # among many that are wrong, some agree by chance
     return Fit(
-        x, np.asarray(cv2.invert(information)[1] * (max(misfit, 1.0) ** 2 * few * mixed), np.float64), agreed, misfit
+        x,
+        np.asarray(cv2.invert(information)[1] * (max(misfit, 1.0) ** 2 * caution(freedom) * mixed), np.float64),
+        agreed,
+        misfit,
     )
+
+
+def caution(freedom: int) -> float:
+    """Factor of a stated covariance: a misfit from few points is itself uncertain."""
+    return 1 + 10 / freedom
 
 
 def across(target: Target, points: Points, x: Array, roughness_m: float) -> Array:
