@@ -10,4 +10,4 @@ if [ ! -f "$settings" ]; then
     exit 2
 fi
 . "./$settings"
-exec leadline run "${LEADLINE_SOURCE:?}" --out "dives/$(date -u +%Y%m%dT%H%M%SZ)" ${LEADLINE_PAGE:+--view "$LEADLINE_PAGE"} --headless ${LEADLINE_OPTIONS:-}
+exec leadline run "${LEADLINE_SOURCE:?}" --out "dives/$(date -u +%Y%m%dT%H%M%SZ)" ${LEADLINE_PAGE:+--view-at "$LEADLINE_PAGE"} --headless ${LEADLINE_OPTIONS:-}

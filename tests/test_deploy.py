@@ -56,9 +56,9 @@ def test_settings_make_a_run_each_into_a_folder_of_its_own(vehicle: Path) -> Non
     assert done.returncode == 0, done.stderr
     assert asked[:3] == ["run", "uvc:0+serial:/dev/ttyUSB0?protocol=jrt", "--out"]
     assert re.fullmatch(r"dives/\d{8}T\d{6}Z", asked[3])
-    assert asked[4:6] == ["--view", "0.0.0.0:8550"]
+    assert asked[4:6] == ["--view-at", "0.0.0.0:8550"]
     assert asked[6:] == ["--headless", "--rig", "rig.yaml", "--target", "sphere:0.34", "--record"]
-    assert "--view" not in start(vehicle).stdout
+    assert "--view-at" not in start(vehicle).stdout
 
 
 def test_the_containers_labels_are_what_an_extension_needs() -> None:
