@@ -4,9 +4,10 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 TOOLS  := $(VENV)/.ready-for-tests
+ROS    := .venv-ros
 INSTALL = -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-all bench lint clean
+.PHONY: demo test test-all bench faults ros lint clean
 demo: $(READY)
 	$(BIN)/leadline demo
 
@@ -18,6 +19,18 @@ test-all: $(TOOLS) lint
 
 bench: $(TOOLS)
 	$(BIN)/python -m benchmarks
+
+# Seven parts, seven faults each: how soon each is told and taken back, as a table and as CSV.
+faults: $(TOOLS)
+	$(BIN)/python -m benchmarks.faults --out out/faults.csv
+
+# A Python with ROS 2 (community wheels: Linux on x86-64, Python 3.11), for the tests that need one.
+ros: $(ROS)/.ready
+$(ROS)/.ready: $(READY)
+	$(PYTHON) -m venv $(ROS)
+	$(ROS)/bin/python $(INSTALL) 'ros-jazzy-rclpy[fastrtps]' ros-jazzy-sensor-msgs ros-jazzy-geometry-msgs ros-jazzy-stereo-msgs \
+	  ros-jazzy-diagnostic-msgs ros-jazzy-lifecycle-msgs
+	touch $@
 
 lint: $(TOOLS)
 	$(BIN)/ruff check .
@@ -36,4 +49,4 @@ $(TOOLS): $(READY)
 	touch $@
 
 clean:
-	rm -rf $(VENV) out build dist
+	rm -rf $(VENV) $(ROS) out build dist
