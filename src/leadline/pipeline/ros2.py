@@ -224,6 +224,8 @@ class LocalizerNode(Working):
         return rig
 
     def _localize(self, job: Job) -> None:
+        if not self._active:  # deactivated while a model was loaded
+            return
         watch = Watch(job.source, job.rig, job.detector)
         outlets = [watch.outlet(sink) for sink in self._sinks(job)]
         name, localizer = next(iter(job.methods.items()))
