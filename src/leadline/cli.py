@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from leadline import cli_calibrate, cli_dataset, cli_evaluate, cli_plan, cli_recover, cli_train
+from leadline import cli_calibrate, cli_dataset, cli_doctor, cli_evaluate, cli_plan, cli_recover, cli_train
 from leadline.cli_progress import progress
 from leadline.cli_view import ViewAt, ViewFlag, watched_run
 from leadline.errors import InputError
@@ -39,6 +39,7 @@ app.command("board")(cli_calibrate.board)
 app.command("plan")(cli_plan.plan)
 app.command("train")(cli_train.train)
 app.command("dataset")(cli_dataset.dataset)
+app.command("doctor")(cli_doctor.doctor)
 app.command("recover")(cli_recover.recover)
 
 

@@ -74,6 +74,11 @@ class SerialLaser(LivePart):
         self._port: Port | None = None
         self._spoken_ns = self._opened_ns = 0
 
+    @property
+    def protocol(self) -> str:
+        """The one in use, be it a guess."""
+        return self._protocol.name
+
     def open(self) -> None:
         self._protocol.reset()
         self._opened_ns = self._clock.now_ns()

@@ -54,6 +54,11 @@ class LiveSource(Source):
     def restarts(self) -> int:
         return sum(supervisor.restarts for supervisor in self._supervisors)
 
+    @property
+    def devices(self) -> list[LivePart]:
+        """As they are now, while they are read."""
+        return [supervisor.part for supervisor in self._supervisors]
+
     def read(self) -> Iterator[Sample]:
         self._inbox = Inbox(self._frames)
         self._supervisors = [Supervisor(make, self._inbox, self.clock) for make in self._makers]

@@ -53,6 +53,11 @@ class Supervisor:
         self.finished = False
         self.restarts = 0
 
+    @property
+    def part(self) -> LivePart:
+        """The device as it is now."""
+        return self._part
+
     def start(self) -> None:
         self._turn += 1
         self._beat_ns = None

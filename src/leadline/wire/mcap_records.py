@@ -83,7 +83,7 @@ def _may_begin(opcode: int, length: int, stream: BinaryIO, place: int) -> bool:
         if named > _LONGEST_NAME or length < _CHUNK_HEAD.size + named + 8:
             return False
         stream.seek(place + _HEAD.size + _CHUNK_HEAD.size + named)
-        return length == _CHUNK_HEAD.size + named + 8 + int.from_bytes(stream.read(8), "little")
+        return bool(length == _CHUNK_HEAD.size + named + 8 + int.from_bytes(stream.read(8), "little"))
     if opcode == ATTACHMENT:
         return length >= 36
     return 0 < opcode <= DATA_END
@@ -93,7 +93,7 @@ def _sound(opcode: int, content: bytes) -> bool:
     if opcode == CHUNK:
         _, _, unpacked, checksum, named = _CHUNK_HEAD.unpack_from(content)
         data = memoryview(content)[_CHUNK_HEAD.size + named + 8 :]
-        return bool(named > 0 or (unpacked == len(data) and checksum in (0, zlib.crc32(data))))
+        return bool(named or (unpacked == len(data) and checksum in (0, zlib.crc32(data))))
     if opcode == ATTACHMENT:
         return int.from_bytes(content[-4:], "little") in (0, zlib.crc32(memoryview(content)[:-4]))
     if opcode == MESSAGE_INDEX:

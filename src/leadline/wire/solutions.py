@@ -51,15 +51,25 @@ def _numbers(values: Array | None, count: int) -> list[str]:
 def read_solutions(path: Path | str) -> list[Solution]:
     """The solutions of a run, in file order. InputError, with the row, for a table that is not one of ours."""
     solutions = []
-    for row in read_table(Path(path), [HEADER]):
+    rows = read_table(Path(path), [HEADER])
+    for number, row in enumerate(rows, 1):
         try:
             solutions.append(_solution(row))
         except ValueError as error:
+            if number == len(rows) and _is_cut(Path(path)):
+                break
             raise InputError(str(error), row.where, "give the solutions.csv of a run, unchanged") from None
     return solutions
 
 
+def _is_cut(path: Path) -> bool:
+    """Whether the last row lacks its end: the writer was killed, or had no room."""
+    return not path.read_bytes().endswith(b"\n")
+
+
 def _solution(row: Row) -> Solution:
+    if len(row.cells) < len(HEADER):
+        raise ValueError(f"{len(row.cells)} of {len(HEADER)} cells")
     t_ns = row.stamp("t_s")
     cov = _vector(row, _COV)
     return Solution(

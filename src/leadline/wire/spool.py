@@ -60,11 +60,12 @@ class Spool:
     def append(self, block: bytes) -> None:
         """Raises OSError while the disk does not take what it is given."""
         with self._writing:
-            if sum(map(len, self._waiting)) + len(block) > self._keep_bytes:
+            self._write_waiting()
+            if self._waiting and sum(map(len, self._waiting)) + len(block) > self._keep_bytes:
                 self.lost += 1
             else:
                 self._waiting.append(block)
-            self._write_waiting()
+                self._write_waiting()
         if self.error is not None:
             raise self.error
 
@@ -76,10 +77,11 @@ class Spool:
         self._thread.join()
         try:
             self._write_waiting()
-            if self.error is None and tail is not None:
+            if self._write_error is None and tail is not None:
                 self._waiting.append(tail())
                 self._write_waiting()
             os.fsync(self._file)
+            self._sync_error = None
             if self.error is not None:
                 raise self.error
         finally:
