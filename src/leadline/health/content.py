@@ -17,11 +17,12 @@ BLACK, FLAT, NOISE = 6.0, 0.8, 32.0  # grey levels: mean; standard deviation; di
 SAME_PICTURES = 2  # repeats in a row
 BAD_PICTURES = 2
 MOVED_S, MOVED_RATIO, MOVED_LEVEL = 0.7, 1.4, 0.5  # pictures so far apart differ more than neighbours do, grey levels
-SAME_RANGES, SAME_S = 6, 0.8  # repeats in a row, lasting so long
+SAME_RANGES, SAME_S = 5, 0.8  # repeats in a row, lasting so long
 COARSE_M = 0.005  # a device that rounds to more repeats itself
 RANGES = 6
 RANGE_SPREAD_M, RANGE_SPEED_M_S = 0.3, 0.5
-FALSE_ALARM = 1e-6  # a run of equal readings that had this chance is a stuck device
+LEAPS, LEAPS_OF = 5, 6  # between readings; two strays among good ones make four
+FALSE_ALARM = 1e-5  # a run of equal readings that had this chance is a stuck device: at 3 Hz once in 9 h
 
 
 class Pictures:
@@ -94,6 +95,7 @@ class Ranges:
         self._moved = 0  # readings of the present value while the scene moved
         self._fine = False
         self._last: deque[tuple[int, float]] = deque(maxlen=RANGES)
+        self._leaps: deque[bool] = deque(maxlen=LEAPS_OF)
         self._repeats = 0
         self._same, self._all = 0.0, 0.0  # how often a reading equals the one before while the scene moves, as learnt
         self._refused: deque[bool] = deque(maxlen=5)
@@ -109,6 +111,9 @@ class Ranges:
             self._moved += moving
         if moving and self._repeats < SAME_RANGES:
             self._same, self._all = self._same * 0.999 + same, self._all * 0.999 + 1
+        if self._last:
+            gone_m, allowed_m = _spread([self._last[-1], (reading.t_ns, reading.range_m)])
+            self._leaps.append(gone_m > allowed_m / 2)
         self._last.append((reading.t_ns, reading.range_m))
         self._refused.append(False)
 
@@ -124,7 +129,8 @@ class Ranges:
             return State.STUCK, f"the same reading {self._repeats + 1} times: {self._last[-1][1]:.3f} m"
         spread_m, allowed_m = _spread(list(self._last))
         settled = len(self._last) >= 3 and np.less(*_spread(list(self._last)[-3:]))
-        if len(self._last) == RANGES and spread_m > allowed_m and not settled:
+        leaping = sum(self._leaps) >= LEAPS or (len(self._last) == RANGES and spread_m > allowed_m)
+        if leaping and not settled:
             return State.GARBAGE, f"readings leap by {spread_m:.1f} m"
         return None
 
