@@ -113,7 +113,7 @@ def death(path: Path, given_ns: int, died_ns: int) -> Death:
     assert source.notices == []
     last_ns = samples[-1].t_ns
     rows = read_solutions(path.with_suffix(".csv"))
-    assert rows[-1].t_ns >= given_ns - LOST_AT_MOST_NS
+    assert (rows[-1].t_ns if rows else samples[0].t_ns) >= given_ns - LOST_AT_MOST_NS
     return Death((given_ns - last_ns) / NS_PER_S, (died_ns - last_ns) / NS_PER_S)
 
 

@@ -149,15 +149,15 @@ class Config(Section):
     def load(cls, path: Path) -> Config:
         """Read a YAML file; InputError names the key that is wrong."""
         try:
-            return cls.model_validate(yaml.safe_load(path.read_text()) or {})
-        except OSError as error:
-            raise InputError("cannot be read", str(path), "check the path") from error
-        except yaml.YAMLError as error:
-            raise InputError("is not YAML", str(path), str(error).replace("\n", " ")) from error
+            return cls.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")) or {})
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError("cannot be read", str(path), "check the path, and that it is text") from error
         except ValidationError as error:
             first = error.errors()[0]
             key = ".".join(str(part) for part in first["loc"]) or "the file"
             raise InputError(f"{key}: {first['msg']}", str(path), "see `leadline config dump` for the keys") from error
+        except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: what looks like a date and is none
+            raise InputError("is not YAML", str(path), " ".join(str(error).split())) from error
 
     def dump(self) -> str:
         return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)
