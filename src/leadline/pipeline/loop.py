@@ -108,7 +108,7 @@ def run(
         watch = Watch(job.source, job.rig, job.detector)
         tracks = _tracks(job, out, stack, watch)
         recorder = _recorder(job, out, control or Control(), tracks[0], watch)
-        stack.callback(recorder.stop)
+        stack.callback(recorder.close)
         if record:
             recorder.start(out / folder.RECORDING)
         passed = _drive(job, tracks, recorder, progress)

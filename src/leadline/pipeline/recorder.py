@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from threading import Thread
 
 from leadline.pipeline import folder
 from leadline.pipeline.watch import Outlet, Watch
@@ -28,6 +29,7 @@ class Recorder:
         self._out, self._sinks, self._control = out, sinks, control
         self._open_sink, self._watch, self._now_ns = open_sink, watch, now_ns
         self._open: Outlet | None = None
+        self._closing: list[Thread] = []
         self._marks = 0
         self.files: tuple[Path, ...] = ()
 
@@ -39,12 +41,20 @@ class Recorder:
         self._control.desk = Desk(recording=True, files=self.files)
 
     def stop(self) -> None:
-        """Safe to call twice."""
+        """The file is finished in its own time: a disk that hangs holds up nobody."""
         if self._open is not None:
             self._sinks.remove(self._open)
             self._watch.release(self._open)
+            self._closing.append(Thread(target=self._open.close, name="leadline-recorder"))
+            self._closing[-1].start()
             self._open = None
             self._control.desk = Desk(files=self.files)
+
+    def close(self) -> None:
+        """Stop and wait until all is written. Safe to call twice."""
+        self.stop()
+        for thread in self._closing:
+            thread.join()
 
     def poll(self) -> None:
         """Do what was asked for since the last call."""

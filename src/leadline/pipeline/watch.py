@@ -152,9 +152,8 @@ class Watch:
         return outlet
 
     def release(self, outlet: Outlet) -> None:
-        """Close it and tell it nothing more."""
+        """Tell it nothing more; closing it is its owner's."""
         self._outlets.remove(outlet)
-        outlet.close()
 
     def found(self, frame: StereoFrame, detections: Sequence[Detection]) -> None:
         """What the detector answered for a frame."""

@@ -9,12 +9,15 @@ from typing import ClassVar
 from leadline.health import Part, State, Verdict
 from leadline.rig import Rig
 from leadline.samples import Detection, LaserRange, Sample, Solution, StereoFrame, Truth, VehicleMotion
+from leadline.sinks.control import Event
 from leadline.wire import ros2_definitions as topics
 from leadline.wire import ros2_messages as ros2
 from leadline.wire.images import encode_png
 from leadline.wire.recording import RecordingWriter
 from leadline.wire.rig_text import rig_to_text
 from leadline.wire.truth import truth_text
+
+EVENT_NAME = "leadline/event"  # of what somebody marked, on /diagnostics
 
 
 class McapSink:
@@ -59,6 +62,10 @@ class McapSink:
         self._write(topics.DIAGNOSTICS, ros2.solution_diagnostic(solution), solution.t_ns)
         if solution.position_m is not None and solution.cov_m2 is not None:
             self._write(topics.TARGET, ros2.target_message(solution), solution.t_ns)
+
+    def event(self, event: Event) -> None:
+        self._arrival_ns = max(self._arrival_ns, event.t_ns)
+        self._write(topics.DIAGNOSTICS, ros2.diagnostic(event.t_ns, EVENT_NAME, {}, text=event.text), event.t_ns)
 
     def check(self) -> Verdict:
         """While the disk takes nothing: why."""
