@@ -4,11 +4,16 @@ Simulated approaches, each a few frames from somewhere between 2.2 and 0.25 m, w
 the last frame the localizer goes on twice, with and without one kind of measurement: that is the hand-over, seen from
 either side. For an estimator whose covariance P is true, the step between the two solutions has the variance
 P_without - P_with, so the squared steps in such sigmas are chi-square. And the mean step shows a bias between kinds.
+
+In pictures of one true rig most of what P holds does not happen: no error of the rig, none that all edges or matches
+share. Their steps are far smaller than stated: what the pictures show is that there is no bias and no jump. Where all
+these errors are drawn as they are stated (``drawn_rigs``) the steps must be neither too large nor next to nothing.
 """
 
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -16,8 +21,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from drawn_rigs import Approach
 from leadline.localizer import Localizer
-from leadline.samples import Array, Detection, Kind, LaserRange, Measurement, Rejected, StereoFrame
+from leadline.samples import Array, Detection, Kind, LaserRange, Measurement, Rejected, Solution, StereoFrame
 from leadline.simulation.dive import SimulatedDive
 from leadline.simulation.scenario import Scenario
 from leadline.target import Sphere
@@ -26,6 +32,7 @@ SHORT, LONG = 8, 200
 FALSE_ALARM = 0.01
 MEAN_STEP_M = 0.0005
 RESOLUTION_M = 0.0001
+TINY_M2 = 1e-14
 NEAREST_M, FARTHEST_M = 0.25, 2.2
 FRAMES = 5
 BALL = Sphere(0.34)
@@ -38,13 +45,25 @@ JOINS = {  # who is there before, and who joins (or, seen backwards, goes)
 }
 
 
+MOST = 2.0  # more than 1: a rig's error is in several frames alike, and the filter takes it for noise
+LEAST = 0.35  # mean squared step where 1 is expected: were variances three times too large, two joins fell below it
+TWO_SIDED = ("spot", "stereo", "beam after stereo alone")
+"""Joins whose steps must not be too small either. A reading's steps are: the filter allows for a clock that is off by
+50 ms. So are an outline's: it has the same error in every frame, which it brought into the first one."""
+
+
 @dataclass(frozen=True)
 class Step:
-    """Range with the kind minus without it, and the variance that it should have; the distance."""
+    """Range with the kind minus without it, and the variance that it should have, of what is stated and of what the
+    filter says alone; the distance."""
 
     distance_m: float
     step_m: float
     variance_m2: float
+    filter_m2: float
+
+
+Stepper = Callable[[int, set[Kind], set[Kind]], Step | None]
 
 
 class Boxed:
@@ -114,12 +133,37 @@ def _readings(dive: SimulatedDive, frames: tuple[StereoFrame, ...], rng: np.rand
 
 
 def step(seed: int, before: set[Kind], joins: set[Kind]) -> Step | None:
-    """The last frame with and without; None where the kinds that join have nothing to say there."""
+    """In pictures; None where the kinds that join have nothing to say there."""
     dive, frames, readings = approach(seed)
     localizer = Localizer(dive.rig, BALL, Boxed(dive))
     localizer._sight = Choosy(localizer)  # type: ignore[assignment]
+    return hand_over(localizer, dive.truth_at(frames[-1].t_ns).range_m, frames, readings, before, joins)
 
-    def take(one: Localizer, frame: StereoFrame, allowed: set[Kind]) -> tuple[float, float, set[Kind]]:
+
+@cache
+def drawn_approach(seed: int) -> tuple[float, Approach]:
+    distance_m = float(np.exp(np.random.default_rng((37, seed)).uniform(np.log(NEAREST_M), np.log(FARTHEST_M))))
+    return distance_m, Approach(1000 + seed, distance_m, FRAMES)
+
+
+def drawn_step(seed: int, before: set[Kind], joins: set[Kind]) -> Step | None:
+    """With a rig and all other errors drawn as they are stated."""
+    distance_m, way = drawn_approach(seed)
+    readings = [one for one in way.readings.values() if one is not None]
+    return hand_over(way.localizer(), distance_m, [way.frame(t) for t in way.times_ns], readings, before, joins)
+
+
+def hand_over(
+    localizer: Localizer,
+    distance_m: float,
+    frames: Sequence[StereoFrame],
+    readings: Sequence[LaserRange],
+    before: set[Kind],
+    joins: set[Kind],
+) -> Step | None:
+    """The last frame with and without."""
+
+    def take(one: Localizer, frame: StereoFrame, allowed: set[Kind]) -> tuple[Solution, set[Kind]]:
         one._sight.allowed = allowed  # type: ignore[attr-defined]
         used: set[Kind] = set()
         for reading in readings:
@@ -128,29 +172,43 @@ def step(seed: int, before: set[Kind], joins: set[Kind]) -> Step | None:
                 used |= set() if told is None else set(told.used)
         solution = one.step(frame)
         assert solution is not None
-        if solution.range_m is None or solution.range_sigma_m is None:
-            return float("nan"), float("nan"), used
-        return solution.range_m, solution.range_sigma_m, used | set(solution.used)
+        return solution, used | set(solution.used)
+
+    def filter_m2(one: Localizer) -> float:
+        estimate = one._filter.at(frames[-1].t_ns)
+        gradient = BALL.range(estimate.x)[1]
+        return float(gradient @ estimate.cov @ gradient)
 
     for frame in frames[:-1]:
         take(localizer, frame, before if frame is not frames[0] else before | {Kind.STEREO, Kind.SIZE})
     other = copy.deepcopy(localizer)
-    without_m, sigma_without, _ = take(localizer, frames[-1], before)
-    with_m, sigma_with, used = take(other, frames[-1], before | joins)
-    if not used & joins or not np.isfinite([without_m, with_m]).all():
+    without, _ = take(localizer, frames[-1], before)
+    full, used = take(other, frames[-1], before | joins)
+    if not used & joins or without.range_m is None or full.range_m is None:
         return None
-    variance = sigma_without**2 - sigma_with**2
-    return Step(dive.truth_at(frames[-1].t_ns).range_m, with_m - without_m, variance)
+    assert without.range_sigma_m is not None
+    assert full.range_sigma_m is not None
+    return Step(
+        distance_m,
+        full.range_m - without.range_m,
+        without.range_sigma_m**2 - full.range_sigma_m**2,
+        filter_m2(localizer) - filter_m2(other),
+    )
 
 
-def steps(name: str, count: int) -> list[Step]:
-    found = [step(seed, *JOINS[name]) for seed in range(count)]
+def steps(name: str, count: int, one_step: Stepper = step) -> list[Step]:
+    found = [one_step(seed, *JOINS[name]) for seed in range(count)]
     return [one for one in found if one is not None]
 
 
 def sigmas(found: list[Step]) -> Array:
-    """Steps (N,) in the sigmas that they should have; less than a tenth of a millimetre is no step."""
+    """Steps (N,) in the sigmas that they should have as stated; less than a tenth of a millimetre is no step."""
     return np.array([one.step_m / np.sqrt(max(one.variance_m2, 0.0) + RESOLUTION_M**2) for one in found])
+
+
+def filter_sigmas(found: list[Step]) -> Array:
+    """Steps (N,) in the sigmas that they should have by the filter alone, without what is stated besides."""
+    return np.array([one.step_m / np.sqrt(max(one.filter_m2, TINY_M2)) for one in found])
 
 
 def passes(z: Array) -> bool:
@@ -183,6 +241,29 @@ def test_the_solution_does_not_jump(name: str) -> None:
 @pytest.mark.parametrize("name", JOINS)
 def test_the_solution_does_not_jump_in_two_hundred_approaches(name: str) -> None:
     check(name, LONG)
+
+
+def check_drawn(name: str, count: int) -> None:
+    """By the filter's own covariance, which is what a measurement changes; bounds stated besides are no noise."""
+    found = steps(name, count, drawn_step)
+    assert len(found) >= 0.9 * count
+    z = filter_sigmas(found)
+    told = f"{name}: z^2 {(z**2).mean():.2f} on average, |z| at most {np.abs(z).max():.1f}"
+    assert passes(sigmas(found)), told
+    assert (z**2).mean() < MOST, told
+    if name in TWO_SIDED:
+        assert (z**2).mean() > LEAST, told
+
+
+@pytest.mark.parametrize("name", TWO_SIDED)
+def test_steps_are_as_large_as_the_filter_says(name: str) -> None:
+    check_drawn(name, SHORT)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", JOINS)
+def test_steps_are_as_large_as_the_filter_says_in_two_hundred_approaches(name: str) -> None:
+    check_drawn(name, LONG)
 
 
 def test_a_jump_would_be_found() -> None:
