@@ -19,6 +19,8 @@ from rosbags.highlevel import AnyReader
 
 from leadline.cli import main
 from leadline.errors import InputError
+from leadline.health import Health, Part, State
+from leadline.pipeline.watch import Outlet
 from leadline.rig import Rig
 from leadline.samples import NS_PER_S, Detection, LaserRange, Sample, Solution, Stage, Status, StereoFrame
 from leadline.sinks import McapSink, SolutionsCsv
@@ -343,6 +345,34 @@ def test_what_waits_for_room_is_bounded_and_its_loss_is_written_down(
     told = [one.message.status[0].message for one in reader.messages([DIAGNOSTICS])]
     assert f"{lost} parts before this one are lost: the disk had no room" in told
     assert (reader.count(LEFT_IMAGE) or 0) < 31
+
+
+def test_a_live_run_goes_on_and_its_health_says_so(small_disk: Path) -> None:
+    (small_disk / "ballast").write_bytes(bytes(300_000))
+    health = Health()
+    now_ns = 0
+    outlet = Outlet(McapSink(small_disk / "dive.mcap"), health, lambda: now_ns, live=True, clock=time.perf_counter)
+    for sample in dive(4.0):
+        now_ns = sample.t_ns
+        outlet.sample(sample)
+        outlet.solution(Solution(now_ns, Stage.SEARCHING, Status.LOST))
+        assert outlet.worker is not None
+        assert outlet.worker.settle(10.0)
+        outlet.collect()
+    outlet.close()
+    (disk,) = [one for one in health.conditions if one.part is Part.DISK]
+    assert disk.state is State.OFF
+    assert "No space left on device" in disk.why
+    assert len(list(open_source(small_disk / "dive.mcap"))) > 5
+
+
+def test_a_full_disk_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def full(path: Path, out: Path) -> None:
+        raise OSError(28, "No space left on device", str(out))
+
+    monkeypatch.setattr("leadline.wire.recording.recover", full)
+    assert main(["recover", "dive.mcap"]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
 
 
 # -- power cut ---------------------------------------------------------------------------------------------------------

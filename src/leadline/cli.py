@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from collections.abc import Sequence
 from enum import StrEnum
@@ -43,6 +44,9 @@ app.command("doctor")(cli_doctor.doctor)
 app.command("recover")(cli_recover.recover)
 
 
+DISK_TROUBLES = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO)
+
+
 class MethodName(StrEnum):
     FUSED = "fused"
     PAPER = "paper"
@@ -74,6 +78,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stderr.write(f"{error}\n")
             return 2
         return _complain(f"{error.format_message()} (see --help)")  # type: ignore[attr-defined]
+    except OSError as error:
+        if error.errno not in DISK_TROUBLES:
+            raise
+        return _complain(f"{error.filename or 'the disk'}: {error.strerror}; what was written until then is kept", 1)
     except (KeyboardInterrupt, typer.Abort):
         return _complain("interrupted", 1)
     return status if isinstance(status, int) else 0

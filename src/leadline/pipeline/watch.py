@@ -99,7 +99,12 @@ class Outlet:
     def close(self) -> None:
         """Finish what waits, but for a sink that hangs: it is left to itself."""
         if self.worker is None or self.worker.close(CLOSE_S):
-            self._sink.close()
+            try:
+                self._sink.close()
+            except OSError as error:
+                if self.worker is None:
+                    raise
+                self._health.reported(self._part, *_as_verdict(error), self._now_ns())
 
     def _conclude(self, solution: Solution) -> None:
         self._sink.solution(solution)
