@@ -92,7 +92,7 @@ class Approach:
         per_m = np.linalg.norm(farther_px - at_px, axis=1) / (0.001 * lengths)
         along = (at_px - farther_px) / np.linalg.norm(farther_px - at_px, axis=1)[:, None]
         error_px = planned.sigma_m * per_m * self._rng.standard_normal(len(lengths)) + self._bias_px
-        good = np.isfinite(at_px).all(axis=1)
+        good = np.asarray(np.isfinite(at_px).all(axis=1))
         p_m, _ = self.believed.triangulate(left_px[good], (at_px + error_px[:, None] * along)[good])
         seen = planned.pick(good)
         length = np.einsum("ni,ni->n", p_m - seen.origins_m, seen.directions)

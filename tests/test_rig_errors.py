@@ -39,6 +39,7 @@ def nees(approaches: int, frames: int, *, exact: bool = False) -> Array:
             if reading is not None and i % READING_EVERY == 0:
                 localizer.step(reading)
             solution = localizer.step(approach.frame(t_ns))
+            assert solution is not None
             if solution.position_m is not None and solution.cov_m2 is not None:
                 off = solution.position_m - approach.at(t_ns)
                 table[seed, i] = off @ np.linalg.solve(solution.cov_m2, off)
