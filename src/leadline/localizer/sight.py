@@ -19,6 +19,7 @@ from leadline.samples import Array, Kind, Measurement, Rejected, StereoFrame
 from leadline.target import Sphere, Target, range_with_sigma
 
 POOR = 0.1  # a range less certain than this part of itself is no prediction
+APART = 40.0  # chi-square of three numbers: two measurements that are not of one place
 FAR_SINE = 0.005  # of half the angle that a ball is seen under: smaller ones are not believed
 VISION = frozenset({Kind.STEREO, Kind.SIZE})
 BOTH = frozenset({"left", "right"})
@@ -82,8 +83,9 @@ class Sight:
         stereo = self._stereo.measure(t_ns, pair, box, guess)
         if isinstance(stereo, Rejected) and not isinstance(size, Measurement) and guess is not None:
             stereo = self._stereo.measure(t_ns, pair, box, None)
-        if self._outline is not None and isinstance(stereo, Measurement) and not isinstance(size, Measurement):
-            size = self._outline.measure(t_ns, pair, stereo.z)
+        if self._outline is not None and isinstance(stereo, Measurement) and not _same_place(size, stereo):
+            there = self._outline.measure(t_ns, pair, stereo.z)  # a wrong prediction finds edges inside a ball
+            size = there if isinstance(there, Measurement) or not isinstance(size, Measurement) else size
         return [stereo] if size is None else [size, stereo]
 
     def _trace(self, t_ns: int, pair: Pair, box: Box, guess: Prior | None) -> Measurement | Rejected | None:
@@ -113,3 +115,10 @@ class Sight:
             angle = float(np.arccos(np.clip(sides[0] @ sides[1], -1, 1))) / 2
             return float(self._target.diameter_m / 2 / max(np.sin(angle), FAR_SINE))
         return (self._laser.last_length_m() if self._laser is not None else None) or 1.0
+
+
+def _same_place(size: Measurement | Rejected | None, stereo: Measurement) -> bool:
+    if not isinstance(size, Measurement):
+        return False
+    off_m = size.z[:3] - stereo.z[:3]
+    return bool(off_m @ np.linalg.solve(size.cov[:3, :3] + stereo.cov[:3, :3], off_m) < APART)
