@@ -82,8 +82,10 @@ def inject(samples: Iterable[Sample], faults: Sequence[Fault], rng: np.random.Ge
 def _one(samples: Iterable[Sample], fault: Fault, rng: np.random.Generator) -> Iterator[Sample]:
     change = _Change(fault, rng)
     for sample in samples:
+        if fault.late_half:
+            change.remember(sample)
         changed = change(sample) if fault.concerns(sample) else sample
-        if changed is sample or fault.late_half:
+        if changed is sample and not fault.late_half:
             change.remember(sample)
         if changed is not None:
             yield changed
