@@ -35,7 +35,8 @@ class Recorder:
 
     def start(self, path: Path) -> None:
         """InputError or OSError where the file cannot be opened."""
-        self._open = self._watch.outlet(self._open_sink(path))
+        sink = self._open_sink(path)
+        self._open = self._watch.outlet(sink)
         self._sinks.append(self._open)
         self.files = (*self.files, path)
         self._control.desk = Desk(recording=True, files=self.files)
