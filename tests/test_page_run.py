@@ -79,7 +79,8 @@ def test_a_dive_is_watched_recorded_and_taken_home(scenario: Path, tmp_path: Pat
     assert "solutions" in rest
     assert archive.testzip() is None
     assert {"solutions.csv", "events.csv", "dive.mcap", "summary.json", "config.yaml"} <= set(archive.namelist())
-    assert [row["text"] for row in csv.DictReader((out / "events.csv").open())] == EVENTS
+    with (out / "events.csv").open(encoding="utf-8") as table:
+        assert [row["text"] for row in csv.DictReader(table)] == EVENTS
 
 
 def test_recording_starts_stops_and_starts_again_between_samples(scenario: Path, tmp_path: Path) -> None:
