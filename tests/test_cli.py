@@ -15,7 +15,7 @@ import leadline
 from leadline.cli import main
 from leadline.evaluation.accuracy import by_stage, compare
 from leadline.pipeline import build, loop
-from leadline.pipeline.demo import demo
+from leadline.pipeline.demo import demo_job
 from leadline.recognition.boxes import Boxes
 from leadline.samples import Sample, Status
 from leadline.sources.folder import FolderSource
@@ -153,7 +153,7 @@ def test_the_demo_ends_with_both_methods_side_by_side(
 ) -> None:
     monkeypatch.setattr(build, "_finder", lambda *_: Boxes(place / "boxes.json"))
     source = f"sim:{place / 'tiny.yaml'}"
-    monkeypatch.setattr("leadline.pipeline.demo.demo", lambda out, tick, seed: demo(out, tick, source=source, seed=3))
+    monkeypatch.setattr("leadline.pipeline.demo.demo_job", lambda seed, real_time: demo_job(source=source, seed=3))
     assert main(["demo", "--out", str(place / "demo")]) == 0
     out = capsys.readouterr().out
     assert "ours beside the paper's method" in out
@@ -188,7 +188,6 @@ def compare_demo(place: Path, name: str) -> float:
         (["run", "run/dive.mcap", "--out", "run", "--boxes", "boxes.json"], "where the source is"),
         (["run", "dive", "--out", "boxes.json", "--boxes", "boxes.json"], "this is a file"),
         (["run", "sim:nothing", "--out", "x"], "no such scenario"),
-        (["run", "ros2:", "--out", "x"], "live"),
         (["sim", "nothing", "--out", "x"], "no such scenario"),
         (["sim", "tiny.yaml", "--out", "dive"], "something already"),
         (["detect", "nowhere", "--out", "x", "--model", "m.onnx"], "m.onnx"),

@@ -6,6 +6,7 @@ laser that is off by a step) is in the long form, the table itself.
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 from pathlib import Path
 
@@ -14,10 +15,20 @@ import pytest
 from benchmarks.faults import CONTRADICTED, LASTS_S, MODES, Seen, main, watch
 from benchmarks.faults_dive import Footage
 
+from leadline.geometry import Camera
 from leadline.health import Part
 from leadline.rig import Rig
+from leadline.rig_covariance import RigCovariance
 from leadline.samples import NS_PER_S, Image, LaserRange, Sample, StereoFrame, Truth
 from leadline.simulation.faults import Mode
+
+
+def small_rig() -> Rig:
+    """The rendered rig with cameras of the film's 64 x 24 pixels."""
+    rig = Rig.load("rendered")
+    scale = 64 / rig.left.width
+    small = Camera(rig.left.fx * scale, rig.left.fy * scale, 31.5, 11.5, 64, 24)
+    return dataclasses.replace(rig, left=small, right=small, covariance=RigCovariance())
 
 
 @cache
@@ -44,7 +55,7 @@ def film() -> Footage:
         samples.append(LaserRange(t_ns, range_m, 0.9, t_ns + 30_000_000))
     for sample in samples:
         truth[sample.t_ns] = Truth(sample.t_ns, (0.0, 0.0, 1.67), 1.5)
-    return Footage(Rig.load("rendered"), tuple(sorted(samples, key=lambda s: s.arrival_ns or 0)), boxes, truth)
+    return Footage(small_rig(), tuple(sorted(samples, key=lambda s: s.arrival_ns or 0)), boxes, truth)
 
 
 def seen(part: Part, mode: Mode, seed: int) -> Seen:

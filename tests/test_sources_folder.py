@@ -197,7 +197,7 @@ def test_no_dive_left_is_one_clear_line(tmp_path: Path, spoil: object, told: lis
     assert str(tmp_path) in text
 
 
-@pytest.mark.parametrize("spec", ["nowhere", "ros2:", "README.md"])
+@pytest.mark.parametrize("spec", ["nowhere", "README.md"])
 def test_what_is_no_source(spec: str) -> None:
     with pytest.raises(InputError, match="dive folder"):
         open_source(spec)
