@@ -1,10 +1,11 @@
 // The way to the server: one websocket, opened again whenever it is lost.
-const AGAIN_MS = 1000, SILENT_MS = 4000;
+const AGAIN_MS = 1000, SILENT_MS = 4000, KEPT = 20;
 
 export class Link {
   // on.state("open" | "lost" | "refused"), on.message(head, blobs)
   constructor(on) {
     this.on = on;
+    this.unsaid = []; // while the way is lost
     this.open();
     setInterval(() => this.watch(), 500);
   }
@@ -15,6 +16,7 @@ export class Link {
     socket.binaryType = "arraybuffer";
     socket.onmessage = (event) => this.take(event.data);
     socket.onclose = () => this.lost(socket);
+    socket.onopen = () => this.unsaid.splice(0).forEach((words) => this.say(words));
     this.socket = socket;
   }
 
@@ -25,7 +27,7 @@ export class Link {
   lost(socket) {
     if (socket !== this.socket) return;
     this.socket = null;
-    socket.onclose = socket.onmessage = null;
+    socket.onclose = socket.onmessage = socket.onopen = null;
     socket.close();
     this.on.state("lost");
     this.retry();
@@ -62,5 +64,6 @@ export class Link {
 
   say(words) {
     if (this.isOpen) this.socket.send(JSON.stringify(words));
+    else if (words.do && this.unsaid.length < KEPT) this.unsaid.push(words);
   }
 }
