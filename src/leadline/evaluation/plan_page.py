@@ -11,6 +11,7 @@ from string import Template
 import numpy as np
 
 from leadline.errors import InputError
+from leadline.evaluation.html import items, section, table
 from leadline.evaluation.plan import AIMED, DISTANCES_M, Cell
 from leadline.evaluation.plan_report import KINDS, Plan, lines
 from leadline.evaluation.plan_view import FINE_M, HandOvers
@@ -43,23 +44,23 @@ def page(plan: Plan) -> str:
     gains = [(gain.change, 1e3 * gain.after_m, INK["water"]) for gain in plan.gains]
     if plan.gains:
         gains.insert(0, ("as it is", 1e3 * plan.gains[0].before_m, INK["grey"]))
-        ranked = _section(f"What would improve it: sigma of the range at {plan.gains[0].distance_m:g} m", _bars(gains))
+        ranked = section(f"What would improve it: sigma of the range at {plan.gains[0].distance_m:g} m", _bars(gains))
     else:
         ranked = ""
     sections = [
-        _section("Accuracy by distance", chart(plan)),
-        _section("With all that the rig has, mm", _table(*_by_distance(plan))),
-        _section("Over the field of view: one frame alone / filtered, mm", _table(*by_place(plan))),
-        _section("From where to where", spans(plan.hand_overs)),
+        section("Accuracy by distance", chart(plan)),
+        section("With all that the rig has, mm", table(*_by_distance(plan))),
+        section("Over the field of view: one frame alone / filtered, mm", table(*by_place(plan))),
+        section("From where to where", spans(plan.hand_overs)),
         ranked,
-        _section("What this rests on", _items(plan.assumptions)),
+        section("What this rests on", items(plan.assumptions)),
     ]
     return Template(_TEMPLATE.read_text(encoding="utf-8")).substitute(
         title="Plan",
         subtitle=escape(f"{plan.name} · {plan.target}"),
         colour=INK["water"],
         verdict=escape(told[0].capitalize()),
-        doubts=_items(told[1:]),
+        doubts=items(told[1:]),
         next_action=escape(str(plan.advice()[0])) if plan.advice() else "no single change helps much",
         sections="\n".join(section for section in sections if section),
     )
@@ -154,17 +155,3 @@ def _places_row(plan: Plan, distance_m: float, names: Sequence[str]) -> list[str
 
 def _bars(gains: list[tuple[str, float, str]]) -> str:
     return bars(gains, 860, "mm", "sigma after each change")
-
-
-def _section(title: str, body: str) -> str:
-    return f"<h2>{escape(title)}</h2>{body}"
-
-
-def _items(told: Sequence[str]) -> str:
-    return f"<ul>{''.join(f'<li>{escape(one)}</li>' for one in told)}</ul>" if told else ""
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
-    body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<table><tr>{top}</tr>{body}</table>"

@@ -23,10 +23,6 @@ SCHEMES = ("uvc", "rtsp", "serial", "mavlink", "ros2")
 _Number = TypeVar("_Number", int, float)
 
 
-def is_live(text: str) -> bool:
-    return text.startswith(tuple(f"{scheme}:" for scheme in SCHEMES))
-
-
 def makers(text: str, clock: LiveClock, mount: Mount) -> list[Callable[[], LivePart]]:
     """For each part, what makes a new object of it; InputError for an address that is none."""
     found, kinds = [], []
