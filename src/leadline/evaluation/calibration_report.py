@@ -14,6 +14,7 @@ from leadline.calibration.cameras import CameraCalibration
 from leadline.calibration.comparison import DISTANCES_M, ModelError, calibration_sigma_mm, field_points
 from leadline.calibration.verdict import Verdict, band_mm, depth_limits
 from leadline.calibration.views import SIDES
+from leadline.evaluation.html import items, table
 from leadline.evaluation.svg import INK, Curve, arrows, bars, log_chart, picture
 from leadline.files import write_whole
 from leadline.rig import Side
@@ -74,7 +75,7 @@ def write_page(
         f"{calibration.fit.rms_px:.3f} px rms, corners' noise {calibration.fit.sigma_px:.3f} px",
         colour=INK["green"] if verdict.good else INK["red"],
         verdict=escape(verdict.line.capitalize()),
-        doubts=_items(verdict.doubts if verdict.good else verdict.doubts[1:]),
+        doubts=items(verdict.doubts if verdict.good else verdict.doubts[1:]),
         next_action=escape(verdict.next_action),
         sections="\n".join(section for section in sections if section),
     )
@@ -86,12 +87,8 @@ def _section(title: str, body: str, note: str = "") -> str:
     return f"<h2>{escape(title)}</h2>{told}{body}"
 
 
-def _items(lines: Sequence[str]) -> str:
-    return f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>" if lines else ""
-
-
 def _list(title: str, lines: Sequence[str]) -> str:
-    return _section(title, _items(lines)) if lines else ""
+    return _section(title, items(lines)) if lines else ""
 
 
 def _figure(drawing: str, caption: str) -> str:
@@ -100,12 +97,6 @@ def _figure(drawing: str, caption: str) -> str:
 
 def _row(figures: Sequence[str]) -> str:
     return f'<div class="row">{"".join(figures)}</div>'
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
-    body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
-    return f"<table><tr>{top}</tr>{body}</table>"
 
 
 def _size(calibration: CameraCalibration) -> tuple[int, int]:
@@ -185,7 +176,7 @@ def _comparison(calibration: CameraCalibration, models: Sequence[ModelError]) ->
     rows += [row(model.name, model.depth_mm, model.total_mm, "+") for model in models]
     head = ["mm, depth at the centre / 3D in the corner", *(f"{z:g} m" for z in DISTANCES_M)]
     note = "The refractive rig is taken for the truth: what each simpler model would be wrong by."
-    return _section("What simpler models would cost", _table(head, rows), note)
+    return _section("What simpler models would cost", table(head, rows), note)
 
 
 def _short(value_mm: float, sign: str = "") -> str:
@@ -212,7 +203,7 @@ def _parameters(calibration: CameraCalibration) -> str:
         known = prior is not None and (name == "water.index" or "layers" in name or "warp" in name)
         before = f"{prior.mean * factor:.5g} +-{prior.sigma * factor:.2g}" if prior is not None and known else ""
         rows.append([label, f"{value:.6g}", f"{sigma:.2g}", unit, before])
-    return _section("What was found", _table(["", "value", "sigma", "", "before the images"], rows))
+    return _section("What was found", table(["", "value", "sigma", "", "before the images"], rows))
 
 
 def _images(calibration: CameraCalibration) -> str:
@@ -226,4 +217,4 @@ def _images(calibration: CameraCalibration) -> str:
         values.append((f"{v.name} ({v.medium})", float(np.mean(parts)), colour))
     body = bars(values, 760, "px", "rms of each image")
     left_out = [f"{o.name} ({o.side}): {o.why} ({o.median_px:.2f} px)" for o in calibration.left_out]
-    return _section("Images", body + (f"<p>Left out:</p>{_items(left_out)}" if left_out else ""))
+    return _section("Images", body + (f"<p>Left out:</p>{items(left_out)}" if left_out else ""))
