@@ -17,6 +17,8 @@ from leadline.recognition.dark import aligned
 from leadline.samples import Image, Measurement, StereoFrame
 from leadline.simulation.dive import SimulatedDive
 from leadline.simulation.scenario import Scenario
+from leadline.sinks import McapSink
+from leadline.sources.mcap import McapSource
 from leadline.target import Sphere
 from leadline.wire.dive_folder import read_frames
 from leadline.wire.dive_writer import write_dive
@@ -96,6 +98,16 @@ def test_the_switch_is_in_the_dive_folder(tmp_path: Path) -> None:
     assert read == [True, False, None]
     write_dive(tmp_path / "plain", [dataclasses.replace(frame, laser_on=None) for frame in frames])
     assert "laser_on" not in (tmp_path / "plain" / "frames.csv").read_text()
+
+
+def test_the_switch_is_in_a_recording(tmp_path: Path) -> None:
+    picture = np.zeros((4, 6, 3), np.uint8)
+    sink = McapSink(tmp_path / "dive.mcap")
+    for i, on in enumerate((True, False, None)):
+        sink.sample(StereoFrame(10**9 * i, picture, picture, laser_on=on))
+    sink.close()
+    read = [one.laser_on for one in McapSource(tmp_path / "dive.mcap") if isinstance(one, StereoFrame)]
+    assert read == [True, False, None]
 
 
 def test_a_switch_that_is_neither_is_told(tmp_path: Path) -> None:

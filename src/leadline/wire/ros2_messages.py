@@ -85,6 +85,7 @@ def frame_info(frame: StereoFrame) -> Message:
         "arrival_s": _stamp(frame.arrival_ns),
         "left_t_s": _stamp(frame.left_t_ns),
         "right_t_s": _stamp(frame.right_t_ns),
+        "laser_on": "" if frame.laser_on is None else str(int(frame.laser_on)),
     }
     return diagnostic(frame.t_ns, FRAME_NAME, values)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from leadline.samples import LaserRange, Sample, StereoFrame, VehicleMotion
@@ -108,7 +109,9 @@ class SampleAssembler:
         if left_ns not in lefts or right_ns not in rights:
             return None
         self._announced = None
-        return self._frame((lefts.pop(left_ns), rights.pop(right_ns)), t_ns, times, values.get("name", ""))
+        frame = self._frame((lefts.pop(left_ns), rights.pop(right_ns)), t_ns, times, values.get("name", ""))
+        switch = values.get("laser_on")
+        return frame if frame is None or switch is None else replace(frame, laser_on=switch == "1")
 
     def _image(self, topic: str, message: Any, log_ns: int) -> StereoFrame | None:
         t_ns = stamp_ns(message)
