@@ -16,7 +16,8 @@ READINGS, AGAINST = 5, 4
 FRAMES, FRAMES_AGAINST = 8, 6
 UNPROVEN = 3  # times as many, of a sensor that has not agreed with the others for so many yet: who is wrong is open
 RECENT_S = 1.5
-MATCHED, APART = 7, 5  # frames that matched before, and that do not now, at one go
+APART = 5  # frames that do not match, at one go,
+MATCHED, BEFORE = 7, 12  # while at least so many of so many before them did: all but one in eight of them
 NEAREST_M = 0.6  # nearer, left and right may see different things
 REACH = 1.0  # of a box's size: a target in view lies this near the middle of its box
 Box = tuple[float, float, float, float]
@@ -74,7 +75,7 @@ class Contradictions:
         self._vision: deque[bool] = deque(maxlen=UNPROVEN * FRAMES)
         self._proven: set[Kind] = set()
         self._laser_ns = self._vision_ns = -(10**18)  # when each was last taken
-        self._matched, self._failed = 0, 0  # frames in a row
+        self._matches: deque[bool] = deque(maxlen=BEFORE + APART)  # frames with the target: did left and right fit?
         self._apart = False
 
     def see(self, solution: Solution) -> None:
@@ -95,13 +96,18 @@ class Contradictions:
     def _match(self, solution: Solution, failed: bool) -> None:
         """Left and right that fitted, and from one moment on do not, while the rest of the picture is still good."""
         if Kind.STEREO in solution.used:
-            self._matched, self._failed, self._apart = self._matched + 1, 0, False
+            self._matches.append(True)
+            self._apart = False
         elif failed:
-            self._failed += 1
+            self._matches.append(False)
             near = solution.range_m is None or solution.range_m < NEAREST_M
-            if self._failed == APART and self._matched >= MATCHED and not near and solution.used:
-                self._apart = True
-            self._matched = 0 if self._failed >= APART else self._matched
+            self._apart = self._apart or (self._broke() and not near and bool(solution.used))
+
+    def _broke(self) -> bool:
+        """A target with too little texture, or too far away, matches now and then: that is not an end of it."""
+        before, last = list(self._matches)[:-APART], list(self._matches)[-APART:]
+        missed = len(before) - sum(before)
+        return not any(last) and sum(before) >= MATCHED and missed <= len(before) // 8
 
     def _prove(self, kind: Kind, against: deque[bool], count: int) -> None:
         if len(against) >= count and not any(list(against)[-count:]):
