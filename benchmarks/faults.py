@@ -1,6 +1,7 @@
 """Each of 7 parts fails in each of 7 ways in a small dive that runs as live: is it told in time, and is it over?
 
     python -m benchmarks.faults [--out out/faults.csv] [--seeds N] [--footage FILE]
+    python -m benchmarks.faults --clean HOURS      # dives without a fault: how many flags?
 
 A fault must be told within 1 s or 7 periods of its part, whichever is longer, of the first sample that it spoils, and
 be over 2 s after its end; no solution may be silently wrong (``benchmarks.silent``'s measure), and a flag before the
@@ -20,7 +21,7 @@ from typing import get_args
 
 import numpy as np
 
-from benchmarks.faults_dive import DIAMETER_M, Clock, Footage, LiveFootage, footage
+from benchmarks.faults_dive import DIAMETER_M, SECONDS, Clock, Footage, LiveFootage, footage
 from benchmarks.faults_parts import FailingDetector, FailingSink, Told, Window, failing_clock
 from benchmarks.silent import SILENT_M, SILENT_SIGMAS
 from leadline.health import Condition, Part
@@ -35,6 +36,7 @@ from leadline.target import Sphere
 CAMERA_HZ, LASER_HZ = 10.0, 3.0
 START_S, LASTS_S, AFTER_S = 6.5, 3.5, 2.6
 OVER_S = 2.0
+FALSE_AN_HOUR = 1.0
 SENSORS = {Part.LEFT, Part.RIGHT, Part.LASER}
 MODES: tuple[Mode, ...] = get_args(Mode)
 CONTRADICTED = {(part, "wrong") for part in (*SENSORS, Part.DETECTOR)} | {(Part.DETECTOR, "delayed")}
@@ -141,6 +143,20 @@ def _is_silent(one: Solution, film: Footage) -> bool:
     return off_m > SILENT_SIGMAS * one.range_sigma_m and off_m > SILENT_M
 
 
+def clean(hours: float, first: int = 1000) -> bool:
+    """Dives of their own without a fault, until they are so long; prints each flag. Whether they are rare enough."""
+    passed_s, flags, silent, seed = 0.0, 0, 0, first
+    while passed_s < hours * 3600:
+        film, never = footage(seed=seed), Window(Part.OUTPUT, "off", SECONDS, SECONDS)
+        events, wrong, _ = _dive(film, never, [], seed, blind=False)
+        told = [event for event in events if not event.ok]
+        for event in told:
+            print(f"dive {seed}, {event}", flush=True)
+        passed_s, flags, silent, seed = passed_s + SECONDS, flags + len(told), silent + wrong, seed + 1
+    print(f"{passed_s / 3600:.2f} h in {seed - first} dives: {flags} false flags, {silent} solutions silently wrong")
+    return flags <= FALSE_AN_HOUR * hours and not silent
+
+
 def rows(seen: Sequence[Seen]) -> Iterator[dict[str, object]]:
     """One for each part and mode, over the seeds."""
     for part in Part:
@@ -183,8 +199,11 @@ def main(words: Sequence[str] | None = None) -> bool:
     parser.add_argument("--footage", type=Path, help="keeps the rendered dive")
     parser.add_argument("--parts", nargs="+", type=Part, default=list(Part))
     parser.add_argument("--modes", nargs="+", choices=MODES, default=MODES)
+    parser.add_argument("--clean", type=float, metavar="HOURS", help="instead: dives without a fault")
     parser.add_argument("--quick", action="store_true", help="the localizer only where nothing else can tell the fault")
     options = parser.parse_args(words)
+    if options.clean is not None:
+        return clean(options.clean)
     film = footage(options.footage)
     seen: list[Seen] = []
     for part, mode in cases(options.parts, options.modes):

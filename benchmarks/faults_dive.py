@@ -33,7 +33,7 @@ class Footage:
     truth: dict[int, Truth]
 
 
-def footage(kept: Path | None = None) -> Footage:
+def footage(kept: Path | None = None, seed: int = 3) -> Footage:
     """A ball from 2.1 m to 0.9 m, 320 x 180, 10 pairs and 3 readings a second. kept: a file that saves rendering it."""
     if kept is not None and kept.is_file():
         found: Footage = pickle.loads(kept.read_bytes())
@@ -42,7 +42,7 @@ def footage(kept: Path | None = None) -> Footage:
     path = scenario.path.model_copy(update={"start_m": 2.1, "end_m": 0.9, "speed_m_s": 1.2 / SECONDS, "dwell_s": 0.0})
     camera = scenario.camera.model_copy(update={"image_width_px": 320, "rate_hz": 10.0})
     laser = scenario.laser.model_copy(update={"dropouts": 0.0})
-    dive = SimulatedDive(scenario.model_copy(update={"path": path, "camera": camera, "laser": laser}), seed=3)
+    dive = SimulatedDive(scenario.model_copy(update={"path": path, "camera": camera, "laser": laser}), seed=seed)
     samples = tuple(dive.samples())
     boxes = {}
     for frame in dive.details["frames"]:
