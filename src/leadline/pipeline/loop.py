@@ -116,6 +116,8 @@ def run(
     errors = {track.name: compare(track.solutions.values, job.source.truth, job.target) for track in tracks}
     summary = _summary(job, tracks, passed, errors, wall_s)
     summary["health"] = watch.health.summary()
+    if summary["live"] is not None:
+        summary["live"]["outputs_dropped"] = watch.dropped
     if isinstance(tracks[0].localizer, SmoothingLocalizer):
         smoothed = _write_smoothed(tracks[0].localizer, out / folder.SMOOTHED)
         summary["smoothed"] = {"accuracy": accuracy(compare(smoothed, job.source.truth, job.target))}

@@ -146,6 +146,7 @@ class Watch:
         self._clock = clock
         self._source, self._rig, self._finder = source, rig, finder
         self._outlets: list[Outlet] = []
+        self._dropped = 0  # by those that have been released
         self._told: tuple[tuple[Condition, ...], int] = (), 0
         self._last: Solution | None = None
         source.health = self.health
@@ -159,6 +160,12 @@ class Watch:
     def release(self, outlet: Outlet) -> None:
         """Tell it nothing more; closing it is its owner's."""
         self._outlets.remove(outlet)
+        self._dropped += outlet.dropped
+
+    @property
+    def dropped(self) -> int:
+        """What the sinks of a live run could not do in time."""
+        return self._dropped + sum(outlet.dropped for outlet in self._outlets)
 
     def found(self, frame: StereoFrame, detections: Sequence[Detection]) -> None:
         """What the detector answered for a frame."""

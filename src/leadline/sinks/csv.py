@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
@@ -12,6 +10,7 @@ from leadline.health import Part, State, Verdict
 from leadline.samples import Detection, Sample, Solution, StereoFrame
 from leadline.wire.solutions import HEADER, solution_row
 from leadline.wire.spool import Spool
+from leadline.wire.table import line
 
 KEPT_BYTES = 4 * 2**20  # rows that wait for room on a full disk: a quarter of an hour
 
@@ -57,6 +56,4 @@ class SolutionsCsv:
         self._spool.close()
 
     def _write(self, cells: Sequence[str]) -> None:
-        row = io.StringIO()
-        csv.writer(row, lineterminator="\n").writerow(cells)
-        self._spool.append(row.getvalue().encode())
+        self._spool.append(line(cells))

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
-from typing import ClassVar, TextIO
+from typing import ClassVar
 
 from leadline.health import Part
 from leadline.samples import Detection, Sample, Solution, StereoFrame
 from leadline.sinks.control import Event
+from leadline.wire.spool import Spool
 from leadline.wire.stamps import format_stamp
+from leadline.wire.table import line
 
 HEADER = ("t_s", "text")
 
 
 class EventsCsv:
-    """Each row is on its way to the disk when ``event`` returns."""
+    """Each row is on its way to the disk when ``event`` returns; while that has no room, OSError: rows wait."""
 
     part: ClassVar[Part] = Part.DISK
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._file: TextIO | None = None
+        self._spool: Spool | None = None
 
     def sample(self, sample: Sample) -> None:
         """Nothing."""
@@ -34,16 +35,11 @@ class EventsCsv:
         """Nothing."""
 
     def event(self, event: Event) -> None:
-        if self._file is None:
-            self._file = self._path.open("w", encoding="utf-8", newline="")
-            self._write(HEADER)
-        self._write((format_stamp(event.t_ns), event.text))
+        row = line((format_stamp(event.t_ns), event.text))
+        if self._spool is None:
+            self._spool, row = Spool(self._path), line(HEADER) + row
+        self._spool.append(row)
 
     def close(self) -> None:
-        if self._file is not None:
-            self._file.close()
-
-    def _write(self, cells: Sequence[str]) -> None:
-        assert self._file is not None
-        csv.writer(self._file, lineterminator="\n").writerow(cells)
-        self._file.flush()
+        if self._spool is not None:
+            self._spool.close()

@@ -93,3 +93,10 @@ def table_text(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     path.write_text(table_text(header, rows), encoding="utf-8", newline="")
+
+
+def line(cells: Sequence[object]) -> bytes:
+    """A row as it stands in a file."""
+    row = io.StringIO()
+    csv.writer(row, lineterminator="\n").writerow(cells)
+    return row.getvalue().encode()
