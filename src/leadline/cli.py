@@ -12,7 +12,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from leadline import cli_calibrate, cli_dataset, cli_doctor, cli_evaluate, cli_plan, cli_recover, cli_train
+from leadline import (
+    cli_calibrate,
+    cli_capture,
+    cli_dataset,
+    cli_doctor,
+    cli_evaluate,
+    cli_plan,
+    cli_rangefinder,
+    cli_recover,
+    cli_train,
+)
 from leadline.cli_progress import progress
 from leadline.cli_view import ViewAt, ViewFlag, watched_run
 from leadline.errors import InputError
@@ -36,13 +46,6 @@ config_app = typer.Typer(no_args_is_help=True, help="The settings of a run.")
 app.add_typer(config_app, name="config")
 app.add_typer(cli_calibrate.app, name="calibrate")
 app.add_typer(cli_evaluate.app, name="evaluate")
-app.command("board")(cli_calibrate.board)
-app.command("plan")(cli_plan.plan)
-app.command("train")(cli_train.train)
-app.command("dataset")(cli_dataset.dataset)
-app.command("doctor")(cli_doctor.doctor)
-app.command("recover")(cli_recover.recover)
-
 
 DISK_TROUBLES = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO)
 
@@ -263,3 +266,16 @@ def _print_report(report: Report, *, detailed: bool) -> None:
 def _print_files(report: Report) -> None:
     for file in report.files:
         typer.echo(str(file))
+
+
+for _command in (
+    cli_calibrate.board,
+    cli_plan.plan,
+    cli_capture.capture,
+    cli_dataset.dataset,
+    cli_train.train,
+    cli_doctor.doctor,
+    cli_recover.recover,
+    cli_rangefinder.rangefinder,
+):  # after those of this file, so that `--help` begins with what is used most
+    app.command()(_command)
