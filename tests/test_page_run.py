@@ -133,7 +133,7 @@ def test_without_the_extra_the_command_that_brings_it_is_told(
 def test_an_ended_page_waits_for_its_last_visitor_only(
     scenario: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("leadline.pipeline.view.NOBODY_S", 0.4)
+    monkeypatch.setattr("leadline.pipeline.page.NOBODY_S", 0.4)
     with View(build_job(f"sim:{scenario}"), tmp_path / "run", Place(port=0)) as view:
         start_s = time.monotonic()
         view.linger()

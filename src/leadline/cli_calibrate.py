@@ -54,7 +54,7 @@ def cameras(
     from leadline.pipeline.calibrate_laser import water_state as stated_water  # noqa: PLC0415
 
     settings = CameraSettings(port_thickness, port_index, stated_water(water_state), warp)
-    target, behind_port = _board(board, square, charuco, marker), air_port is AirPort.WITH
+    target, behind_port = make_board(board, square, charuco, marker), air_port is AirPort.WITH
     with progress("looking for boards") as tick:
         report = calibrate(target, out, air=air, water=water, air_port=behind_port, settings=settings, tick=tick)
     _print_cameras(report)
@@ -73,7 +73,7 @@ def check(
     from leadline.cli_calibrate_tables import check_lines  # noqa: PLC0415
     from leadline.pipeline.calibrate_cameras import check as run_check  # noqa: PLC0415
 
-    target = _board(board, square, charuco, marker)
+    target = make_board(board, square, charuco, marker)
     with progress("looking for boards") as tick:
         held_out, remarks = run_check(rig, dive, target, tick)
     for line in (*remarks, *check_lines(held_out, target)):
@@ -205,11 +205,11 @@ def board(
     """A calibration board as a PDF that measures right on paper (print at 100 %)."""
     from leadline.wire.board_pdf import write_board  # noqa: PLC0415
 
-    width, height = write_board(out, _board(size, square, charuco, marker))
+    width, height = write_board(out, make_board(size, square, charuco, marker))
     typer.echo(f"{out}: {width * 1e3:.1f} x {height * 1e3:.1f} mm; print at 100 %")
 
 
-def _board(size: str, square_m: float, charuco: str | None = None, marker_m: float | None = None) -> Board:
+def make_board(size: str, square_m: float, charuco: str | None = None, marker_m: float | None = None) -> Board:
     from leadline.calibration.board import Board, Charuco  # noqa: PLC0415
 
     if charuco is None:

@@ -47,7 +47,7 @@ def watched_run(
 
     with View(job, out, Place.parse(at) if at else Place()) as page:
         typer.echo(f"live page: {page.url}")
-        if not headless and _has_screen():
+        if not headless and has_screen():
             webbrowser.open(page.url)
         with progress(what) as tick:
             report = run(page.job, out, record=record, progress=tick, control=page.control)
@@ -57,6 +57,6 @@ def watched_run(
         page.linger()
 
 
-def _has_screen() -> bool:
+def has_screen() -> bool:
     """Without one, a browser for terminals would take this one."""
     return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -20,7 +20,7 @@ from leadline.samples import Array
 FEW = 8
 """Views of a medium, below which a calibration is called thin."""
 _SAME_DISTANCE = 1.4  # farthest over nearest
-_CELLS = (6, 4)  # of the image, for its coverage
+CELLS = (6, 4)  # of the image, for its coverage
 _COVERED = 0.5
 _NOISY_PX = 0.35
 _GOOD_MM_AT_1_M = 2.0
@@ -66,7 +66,7 @@ def cross_check(calibration: CameraCalibration) -> Halves | None:
 
 def covered(views: Sequence[BoardView], size: tuple[int, int]) -> dict[str, Array]:
     """The number of corners in each cell (rows, columns) of the left and right image."""
-    columns, rows = _CELLS
+    columns, rows = CELLS
     out: dict[str, Array] = {}
     for side in SIDES:
         sets = [c.pixels for v in views if (c := v.corners(side)) is not None]

@@ -12,7 +12,6 @@ import numpy as np
 
 from leadline.config import Config
 from leadline.errors import InputError
-from leadline.evaluation.detection_run import model_classes
 from leadline.evaluation.plan_sight import box_of, vector_at
 from leadline.localizer import Localizer
 from leadline.pipeline.build import build_job
@@ -67,13 +66,14 @@ class ModelLabeller:
         self._score, self._seed = config.detector.score, seed
         self._detector = Detector(model, **(config.detector.model_dump() | {"score": min(FAINT, self._score)}))
         self.provenance = Path(self._detector.path).name
-        self.names = model_classes(self._detector.metadata)
+        self.names = list(self._detector.names)
 
     def open(self, spec: str) -> tuple[Source, Iterator[Labelled]]:
         source = open_source(spec, seed=self._seed)
-        return source, ((s, self._labels(s)) for s in source if isinstance(s, StereoFrame))
+        return source, ((s, self.labels(s)) for s in source if isinstance(s, StereoFrame))
 
-    def _labels(self, frame: StereoFrame) -> Labels:
+    def labels(self, frame: StereoFrame) -> Labels:
+        """What the detector sees in a frame's left image."""
         found = self._detector.find(frame)
         kept = tuple(d for d in found if d.score >= self._score)
         self.names += [d.label for d in kept if d.label not in self.names]  # of a model that does not name its classes

@@ -15,6 +15,9 @@ class Wish(StrEnum):
     RECORD = "record"
     STOP = "stop"
     MARK = "mark"
+    KEEP = "keep"  # guided capture: this picture, whatever is thought of it
+    UNDO = "undo"  # guided capture: take the last one out again
+    END = "end"  # guided capture
 
 
 @dataclass(frozen=True, slots=True)

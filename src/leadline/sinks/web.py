@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 from threading import Lock
 from typing import Any
 
@@ -20,45 +18,19 @@ from leadline.health import Condition
 from leadline.rig import Rig
 from leadline.samples import NS_PER_S, Array, Detection, LaserRange, Sample, Solution, Stage, Status, StereoFrame, Truth
 from leadline.sinks.control import Control, Event
-from leadline.sinks.web_scene import Picture, beam, number, numbers, view
+from leadline.sinks.web_page import EVENTS_KEPT, History, Seen
+from leadline.sinks.web_scene import Picture, beam, number, numbers, overlay, view
 from leadline.target import Target
 
-ROWS_KEPT = 6000  # of the curves: minutes, for whoever opens the page late
-EVENTS_KEPT = 200
 TRUTH_NEAR_NS = NS_PER_S // 5
 LEAST_STEP_NS = 30_000_000  # between two rows of one kind
 STATUSES = [status.value for status in Status]
 
 
-class History:
-    """The newest rows, and how many there were in all: a client asks for those that came since it last asked."""
-
-    def __init__(self, kept: int = ROWS_KEPT) -> None:
-        self._rows: deque[list[Any]] = deque(maxlen=kept)
-        self.count = 0
-
-    def add(self, row: list[Any]) -> None:
-        self._rows.append(row)
-        self.count += 1
-
-    def since(self, count: int) -> list[list[Any]]:
-        new = min(self.count - count, len(self._rows))
-        return [self._rows[i] for i in range(len(self._rows) - new, len(self._rows))]
-
-
-@dataclass(slots=True)
-class Seen:
-    """How far one client has come."""
-
-    rows: int = 0
-    readings: int = 0
-    events: int = 0
-    picture: int = 0
-    version: int = -1
-
-
 class WebSink:
-    """``Sink``, ``HealthSink`` and ``EventSink``; ``news`` and ``hello`` are for the server's thread."""
+    """``Sink``, ``HealthSink`` and ``EventSink``; as ``Shown`` it is asked by the server's thread."""
+
+    page = "index.html"
 
     def __init__(
         self, name: str, rig: Rig, target: Target, guide: Guide, control: Control, truth: Sequence[Truth] = ()
@@ -167,6 +139,10 @@ class WebSink:
         desk = self.control.desk
         told["desk"] = {"recording": desk.files[-1].name if desk.recording else "", "trouble": desk.trouble}
         return told
+
+    def scene(self, picture: Picture) -> dict[str, Any]:
+        """What to draw over a picture."""
+        return overlay(self.rig, self.target, picture)
 
     @property
     def silent_s(self) -> float:

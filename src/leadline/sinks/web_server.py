@@ -29,9 +29,9 @@ from starlette.websockets import WebSocket, WebSocketClose, WebSocketDisconnect
 from leadline.errors import InputError
 from leadline.samples import Image
 from leadline.sinks.control import Wish
-from leadline.sinks.web import Seen, WebSink
 from leadline.sinks.web_access import Access, Place
-from leadline.sinks.web_scene import SIDES, Picture, overlay
+from leadline.sinks.web_page import Seen, Shot, Shown
+from leadline.sinks.web_scene import SIDES
 from leadline.wire.archive import zipped
 from leadline.wire.images import encode_jpeg
 
@@ -57,7 +57,7 @@ LOGIN = (PAGE / "login.html").read_bytes()
 class PageServer:
     """Bound when made (InputError where that cannot be), serving from ``start`` to ``close``."""
 
-    def __init__(self, sink: WebSink, place: Place, token: str | None, files: Callable[[], Sequence[Path]]) -> None:
+    def __init__(self, sink: Shown, place: Place, token: str | None, files: Callable[[], Sequence[Path]]) -> None:
         self._sink, self._token, self._files = sink, token, files
         self._socket = _bind(place)
         self.host, self.port = place.host, self._socket.getsockname()[1]
@@ -111,10 +111,10 @@ class PageServer:
     def _app(self) -> ASGIApp:
         files = [
             Route(f"/{path.relative_to(PAGE).as_posix()}", _fixed(path)) for path in sorted(PAGE.rglob("*"))
-            if path.suffix in MEDIA and path.stem not in ("index", "login")
+            if path.suffix in MEDIA and path.suffix != ".html"
         ]  # fmt: skip
         routes = [
-            Route("/", self._index(PAGE / "index.html")),
+            Route("/", self._index(PAGE / self._sink.page)),
             Route("/alive", self._alive),
             Route("/run.zip", self._download),
             WebSocketRoute("/live", self._live),
@@ -166,7 +166,7 @@ class PageServer:
 class _Client:
     """One open page: told what is new as fast as it draws, never faster."""
 
-    def __init__(self, websocket: WebSocket, sink: WebSink, pictures: _Pictures) -> None:
+    def __init__(self, websocket: WebSocket, sink: Shown, pictures: _Pictures) -> None:
         self._websocket, self._sink, self._pictures = websocket, sink, pictures
         self._seen = Seen()
         self._sent = self._shown = 0
@@ -197,14 +197,14 @@ class _Client:
                 else:
                     self._sink.control.ask(Wish(said["do"]), str(said.get("text", "")))
 
-    def _newest(self) -> Picture | None:
-        picture = self._sink.picture
+    def _newest(self) -> Shot | None:
+        picture: Shot | None = self._sink.picture
         if picture is None or picture.number == self._seen.picture:
             return None
         self._seen.picture = picture.number
         return picture
 
-    async def _send(self, told: dict[str, Any], picture: Picture | None = None) -> None:
+    async def _send(self, told: dict[str, Any], picture: Shot | None = None) -> None:
         """One message: the header's length (uint32, big endian), the header (JSON), the pictures (JPEG)."""
         self._sent += 1
         scene, images = self._pictures.of(picture)
@@ -217,17 +217,17 @@ class _Client:
 class _Pictures:
     """Each picture is drawn and compressed once, however many pages are open."""
 
-    def __init__(self, sink: WebSink) -> None:
+    def __init__(self, sink: Shown) -> None:
         self._sink = sink
         self._number = 0
         self._made: tuple[dict[str, Any], list[bytes]] = {}, []
 
-    def of(self, picture: Picture | None) -> tuple[dict[str, Any], list[bytes]]:
+    def of(self, picture: Shot | None) -> tuple[dict[str, Any], list[bytes]]:
         """What to draw over the two images, and their JPEGs."""
         if picture is None:
             return {}, []
         if picture.number != self._number:
-            scene = overlay(self._sink.rig, self._sink.target, picture)
+            scene = self._sink.scene(picture)
             images = [encode_jpeg(_smaller(getattr(picture.frame, side)), QUALITY) for side in SIDES]
             self._number, self._made = picture.number, ({"scene": scene}, images)
         return self._made

@@ -1,0 +1,163 @@
+"""Where to hold the board next: of poses at nine places, three distances and five tilts, the one that brings most."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leadline.calibration.board import Board
+from leadline.calibration.coverage import (
+    BANDS,
+    CELL_CORNERS,
+    EACH_BAND,
+    EACH_TILT,
+    Coverage,
+    Stance,
+    sees_in,
+    stance_at,
+)
+from leadline.calibration.verdict import CELLS
+from leadline.geometry import Pose
+from leadline.rig import Rig, Side
+from leadline.rig_derivatives import SIDES, Medium, project
+from leadline.rig_parameters import turn
+from leadline.samples import Array
+
+PLACES = {
+    "in the middle": (0, 0), "on the left": (-1, 0), "on the right": (1, 0), "at the top": (0, -1),
+    "at the bottom": (0, 1), "in the upper left": (-1, -1), "in the upper right": (1, -1),
+    "in the lower left": (-1, 1), "in the lower right": (1, 1),
+}  # fmt: skip
+ADVISED_DEG = 25.0
+_TURNS = {None: (0.0, 0.0), "top": (1.0, 0.0), "bottom": (-1.0, 0.0), "left": (0.0, -1.0), "right": (0.0, 1.0)}
+_BORDER = 0.7  # of a square, around the outermost corners: what must be in the picture, for a corner to be found
+_MARGIN = 0.01  # of the picture's width
+_CELL_WORTH = 0.5  # of a missing cell, beside a missing distance or tilt
+_NEW_WORTH = 0.3  # of each step by which it differs from all that there is, to three
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Advice:
+    """A pose to show next: T_left_board, in words, and where the board would be in both pictures, four points (4, 2)
+    each, px."""
+
+    pose: Pose
+    place: str
+    band: str
+    distance_m: float
+    tilt: str | None
+    outline_px: dict[Side, Array]
+
+    @property
+    def words(self) -> str:
+        how = "square to the camera" if self.tilt is None else f"its {self.tilt} edge tilted towards the camera"
+        return f"Hold the board {self.place} of the picture, about {self.distance_m:.1f} m away, {how}"
+
+
+def advised(coverage: Coverage, rig: Rig, board: Board, medium: Medium) -> Advice | None:
+    """None where no such pose fits both pictures. Deterministic: of equals the first."""
+    best: tuple[float, Posed, tuple[str, str, str | None]] | None = None
+    for band, (place, way), tilt in product(BANDS, PLACES.items(), _TURNS):
+        posed = posed_board(rig, board, medium, way, _distance_m(coverage, band), tilt)
+        if posed is None:
+            continue
+        worth = _worth(coverage, posed.pixels, band, tilt, (rig.left.width, rig.left.height))
+        worth += _NEW_WORTH * min(_newness(coverage, posed, rig), 3.0)
+        if best is None or worth > best[0] + 1e-9:
+            best = worth, posed, (place, band, tilt)
+    if best is None:
+        return None
+    _, posed, (place, band, tilt) = best
+    rim = _pixels(rig, medium, posed.pose.apply(_rim_m(board, 1.0)))
+    return Advice(posed.pose, place, band, float(posed.middle_m[2]), tilt, rim)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posed:
+    """A board with its middle at middle_m (3,), turned by R (left frame), and its corners' pixels."""
+
+    R: Array
+    middle_m: Array
+    board: Board
+    pixels: dict[Side, Array]
+
+    @property
+    def pose(self) -> Pose:
+        """T_left_board."""
+        return Pose(self.R, self.middle_m - self.R @ self.board.points_m.mean(axis=0))
+
+
+def posed_board(
+    rig: Rig, board: Board, medium: Medium, way: tuple[int, int], distance_m: float, tilt: str | None
+) -> Posed | None:
+    """A board at a distance, pushed into a corner (``way``: left or right, up or down; 0 the middle) of what both
+    cameras see; None where it does not fit."""
+    R = turn(np.radians(ADVISED_DEG) * np.array([*_TURNS[tilt], 0.0]))
+    rim = (_rim_m(board, _BORDER) - board.points_m.mean(axis=0)) @ R.T
+    place = np.array([0.0, 0.0, distance_m])
+    size = np.array([rig.left.width, rig.left.height])
+    margin = _MARGIN * size[0]
+    for _ in range(_ROUNDS):
+        low, high = _bounds(_pixels(rig, medium, rim + place))
+        if not np.isfinite(low + high).all():
+            return None
+        goals = np.stack([margin - low, (size - low - high) / 2, size - 1 - margin - high])
+        shift = goals[np.array(way) + 1, (0, 1)]
+        place[:2] += shift * distance_m / (rig.left.fx, rig.left.fy) / _index(rig, medium)
+    low, high = _bounds(_pixels(rig, medium, rim + place))
+    if not (np.isfinite(low + high).all() and (low > -2).all() and (high < size + 1).all()):
+        return None
+    points = (board.points_m - board.points_m.mean(axis=0)) @ R.T + place
+    return Posed(R, place, board, _pixels(rig, medium, points))
+
+
+def _index(rig: Rig, medium: Medium) -> float:
+    return rig.port.outside_index if rig.port is not None and medium is Medium.WATER else 1.0
+
+
+def _pixels(rig: Rig, medium: Medium, points_m: Array) -> dict[Side, Array]:
+    return {side: project(rig, side, sees_in(rig, medium), points_m)[0] for side in SIDES}
+
+
+def _bounds(pixels: dict[Side, Array]) -> tuple[Array, Array]:
+    low = np.min([q.min(axis=0) for q in pixels.values()], axis=0)
+    high = np.max([q.max(axis=0) for q in pixels.values()], axis=0)
+    return low, high
+
+
+def _distance_m(coverage: Coverage, band: str) -> float:
+    near, far = coverage.edges_m
+    places: dict[str, float] = {"near": 0.8 * near, "middle": (near * far) ** 0.5, "far": 1.35 * far}
+    return places[band]
+
+
+def _worth(coverage: Coverage, pixels: dict[Side, Array], band: str, tilt: str | None, size: tuple[int, int]) -> float:
+    """How many of the missing things a board there would bring."""
+    cells = sum(float((_cells(pixels[side], size) & open_).sum()) for side, open_ in coverage.open_cells.items())
+    short: float = max(1 - coverage.bands[band] / EACH_BAND, 0.0)
+    flat: float = 0.0 if tilt is None else max(1 - coverage.tilts[tilt] / EACH_TILT, 0.0)
+    return float(_CELL_WORTH * cells + 2 * short + 2 * flat)
+
+
+def _newness(coverage: Coverage, posed: Posed, rig: Rig) -> float:
+    """How unlike all that there is."""
+    stance: Stance = stance_at(posed.R, float(posed.middle_m[2]), posed.pixels["left"], rig.left)
+    return min((stance.away(other) for other in coverage.stances), default=3.0)
+
+
+def _cells(pixels: Array, size: tuple[int, int]) -> NDArray[np.bool_]:
+    columns, rows = CELLS
+    place = np.floor(pixels / (size[0] / columns, size[1] / rows)).astype(int)
+    inside = ((place >= 0) & (place < (columns, rows))).all(axis=1)
+    counts = np.bincount(place[inside] @ (1, columns), minlength=rows * columns)
+    return np.asarray(counts.reshape(rows, columns) >= CELL_CORNERS)
+
+
+def _rim_m(board: Board, squares: float) -> Array:
+    """Four points (4, 3) around the corners, so many squares outside of them."""
+    (x, y), out = board.points_m.max(axis=0)[:2], squares * board.square_m
+    return np.array([[-out, -out, 0], [x + out, -out, 0], [x + out, y + out, 0], [-out, y + out, 0]])
