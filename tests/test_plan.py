@@ -90,7 +90,7 @@ def test_patches_that_overlap_do_not_count_twice() -> None:
     for patches in (settings.patches, 10 * settings.patches, 100 * settings.patches):
         points = expected_points(rig, Plane(), settings.model_copy(update={"patches": patches}), Conditions(), x)
         assert points is not None
-        information.append(float((1 / points.sigma_m**2).sum()))
+        information.append(float((1 / points.sigma_m**2).sum()) / points.shared)
     assert information[2] < 1.5 * information[1]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from leadline.ranging.layout import shared
 from leadline.ranging.shape_fit import Fit, Points, fit
 from leadline.ranging.surface_fit import fit_surface
 from leadline.samples import Array
@@ -88,7 +89,9 @@ def before(target: Target, x: Array, rng: np.random.Generator, sigma_m: float, c
 
 
 def together(a: Points, b: Points) -> Points:
-    return Points(*(np.concatenate([getattr(a, n), getattr(b, n)]) for n in Points.__slots__))
+    return Points(
+        *(np.concatenate([getattr(a, n), getattr(b, n)]) for n in ("origins_m", "directions", "length_m", "sigma_m"))
+    )
 
 
 @pytest.mark.parametrize("sigma_m", [SIGMA_M, 0.02], ids=["fine", "coarse"])
@@ -163,3 +166,29 @@ def test_an_unknown_surface_has_its_range_and_where_the_beam_hits(target: Target
         assert abs(error) < 4 * sigma
         length, gradients = Surface().beam_length(found.x, origin, direction)
         assert length[0] == pytest.approx(beam_m, abs=4 * np.sqrt(gradients[0] @ found.cov @ gradients[0]))
+
+
+def test_what_points_share_does_not_average_out() -> None:
+    """Every error is that of four points alike: the mean NEES of 100 fits is known to 8 % (28 %: false alarm 5e-4)."""
+    rng = np.random.default_rng(7)
+    target, true, half = CASES[0][0], np.array(CASES[0][1]), CASES[0][2]
+    nees = []
+    for _ in range(100):
+        points = seen(target, true, half, rng, 0.0)
+        error = np.repeat(rng.normal(0, SIGMA_M, 25), 4)[: len(points.length_m)]
+        directions = points.directions[np.arange(len(error)) // 4 * 4]  # four beside one another
+        length = target.beam_length(true, points.origins_m, directions)[0] + error
+        points = Points(points.origins_m, directions, length, np.full(len(error), SIGMA_M), shared=4.0)
+        found = fit(target, points, true)
+        assert found is not None
+        nees.append((found.x - true) @ np.linalg.solve(found.cov, found.x - true) / 3)
+    assert abs(np.mean(nees) - 1) < 0.28
+
+
+def test_patches_share_what_their_pixels_do() -> None:
+    """Apart: nothing; all in one place: everything; in two places each: as if there were half of them."""
+    far, here = np.array([[0.0, 0.0], [40.0, 0.0], [0.0, 40.0], [40.0, 40.0]]), np.zeros((4, 2))
+    assert shared(far, 21) == pytest.approx(1.0)
+    assert shared(here, 21) == pytest.approx(4.0)
+    assert shared(np.repeat(far, 2, axis=0), 21) == pytest.approx(2.0)
+    assert 1.0 < shared(far / 4, 21) < 4.0

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,8 +20,18 @@ from leadline.ranging.beam import BeamRanger
 from leadline.ranging.coarse import Box
 from leadline.ranging.focus import narrowed
 from leadline.ranging.images import Region
-from leadline.ranging.layout import CHOICES, Prediction, cells, levels, patch_size, predicted, round_inset, visible
-from leadline.ranging.shape_fit import Points, caution, fit
+from leadline.ranging.layout import (
+    CHOICES,
+    Prediction,
+    cells,
+    levels,
+    patch_size,
+    predicted,
+    round_inset,
+    shared,
+    visible,
+)
+from leadline.ranging.shape_fit import Points, fit
 from leadline.ranging.stereo import ENOUGH, LARGER
 from leadline.ranging.surface_fit import fit_surface
 from leadline.rig import Rig, Side
@@ -129,10 +138,7 @@ def expected_stereo(
         sheet = fit_surface(points, beam)
         return None if sheet is None else _expected(Kind.STEREO, x, sheet.cov)
     found = fit(target, points, x, settings.roughness_m)
-    if found is None:
-        return None
-    # What patches share widens the scatter; what the ranger states besides of few of them does not.
-    return _expected(Kind.STEREO, x, found.cov / caution(max(len(points.length_m) - len(x), 1)))
+    return None if found is None else _expected(Kind.STEREO, x, found.cov)
 
 
 def expected_points(
@@ -157,10 +163,9 @@ def expected_points(
     expected, half, sigma_px, _ = max(rounds, key=lambda one: one[-1])
     if len(expected.length_m) < settings.min_agreed or sigma_px > settings.max_sigma_px:
         return None
-    sigma_px *= float(np.sqrt(shared(expected.warp.centre_px, 2 * half + 1)))
-    return Points(
-        expected.origins_m, expected.directions, expected.length_m, sigma_px * expected.length_m**2 / expected.rate_px_m
-    )
+    sigma_m = sigma_px * expected.length_m**2 / expected.rate_px_m
+    common = shared(expected.warp.centre_px, 2 * half + 1)
+    return Points(expected.origins_m, expected.directions, expected.length_m, sigma_m, common)
 
 
 def _patches(rig: Rig, target: Target, x: Array, box: Box, level: int, half: int, count: int) -> tuple[int, Prediction]:
@@ -173,18 +178,6 @@ def _patches(rig: Rig, target: Target, x: Array, box: Box, level: int, half: int
     left_px = np.array([rig.left.width, rig.left.height]) // 2**level
     keep &= ((centre_px > half) & (centre_px < left_px - half - 1)).all(axis=1)
     return len(centre_px), expected.pick(keep)
-
-
-def shared(centre_px: Array, side_px: int) -> float:
-    """By how much the variance of a mean of patches (N, 2) exceeds that of patches with no pixel in common.
-
-    A pixel that is in k patches counts k times: sum k^2 / sum k.
-    """
-    at = np.round(centre_px - centre_px.min(axis=0)).astype(int) + side_px
-    middles = np.zeros(at.max(axis=0)[::-1] + side_px)
-    np.add.at(middles, (at[:, 1], at[:, 0]), 1.0)
-    covered = cv2.boxFilter(middles, -1, (side_px, side_px), normalize=False)
-    return float((covered**2).sum() / covered.sum())
 
 
 def _inside(q_px: Array, camera: Camera, margin_px: float) -> NDArray[np.bool_]:

@@ -1,7 +1,7 @@
 """Which patches of the left image are matched, and how a predicted shape places and bends them in the right.
 
 ``levels``, ``patch_size``, ``round_inset`` and ``cells`` decide at what size, how many and where; the plan of a rig
-asks them too.
+asks them too, and both say by ``shared`` how much of it the patches know in common.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ ROUND_INSET = 0.9
 CHOICES = 3  # places tried along each side of a cell
 BEYOND = 1.01  # a length this much greater shows which way the epipolar curve goes
 MIN_SCALE, MAX_SCALE = 0.2, 5.0  # of a patch's area between the two images
+ALIKE = 1.4  # errors of two patches correlate as the part of their pixels that is common, to this power
 _CORNERS = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]), axis=-1).reshape(-1, 2)
 _MIDDLE = 4
 _FIT = np.linalg.pinv(np.vstack([bend_terms(*_CORNERS.T), np.ones(9)])).T  # (6, 9)
@@ -91,6 +92,17 @@ def centres(region: Region, low_px: Array, high_px: Array, half: int, count: int
     cell = np.flatnonzero(split[np.arange(len(split)), best] >= 0)
     row, column = cell // columns * CHOICES + best[cell] // CHOICES, cell % columns * CHOICES + best[cell] % CHOICES
     return np.stack([u[column], v[row]], axis=1).astype(float)
+
+
+def shared(centre_px: Array, side_px: int) -> float:
+    """By how much the variance of a mean of patches (N, 2) exceeds that of patches with no pixel in common.
+
+    That is the mean sum of a patch's correlations with all. Two errors would correlate as the part of their pixels that
+    is common, did a patch weigh all of them alike; it leans on some, for its slants. Measured: ``docs/plan.md``.
+    """
+    x, y = (np.abs(along[:, None] - along) for along in centre_px.T)
+    common = (np.maximum(side_px - x, 0) * np.maximum(side_px - y, 0)).ravel() / side_px**2
+    return float((common[common > 0] ** ALIKE).sum() / len(centre_px))
 
 
 def _texture(image: Float32, half: int) -> Float32:

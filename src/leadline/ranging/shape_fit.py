@@ -24,19 +24,24 @@ MAX_CONDITION = 1e12
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """N points measured along rays: (N, 3) each, and the sigma (N,) along the ray."""
+    """N points measured along rays: (N, 3) each, and the sigma (N,) along the ray.
+
+    shared: by how much what they have in common makes the variance of their mean larger (``layout.shared``).
+    """
 
     origins_m: Array
     directions: Array
     length_m: Array
     sigma_m: Array
+    shared: float = 1.0
 
     @property
     def p_m(self) -> Array:
         return np.asarray(self.origins_m + self.length_m[:, None] * self.directions)
 
     def pick(self, keep: Mask) -> Points:
-        return Points(self.origins_m[keep], self.directions[keep], self.length_m[keep], self.sigma_m[keep])
+        rays = self.origins_m[keep], self.directions[keep]
+        return Points(*rays, self.length_m[keep], self.sigma_m[keep], self.shared)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,20 +99,20 @@ def trim(target: Target, points: Points, x: Array, roughness_m: float = 0.0) -> 
     if not target.possible(x) or not axes[0] < MAX_CONDITION * axes[-1]:
         return None
     residual = np.asarray(target.distance(x, p[agreed])[0] / sigma[agreed])
-    freedom = max(len(residual) - len(x), 1)
-    misfit = float(np.sqrt(residual @ residual / freedom))
+    freedom = max(len(residual) - len(x) * points.shared, 1.0)
+    misfit2 = float(residual @ residual) / freedom
     mixed = (len(agreed) / len(residual)) ** 2  # among many that are wrong, some agree by chance
-    return Fit(
-        x,
-        np.asarray(cv2.invert(information)[1] * (max(misfit, 1.0) ** 2 * caution(freedom) * mixed), np.float64),
-        agreed,
-        misfit,
-    )
+    factor = mixed * widened(points.shared, misfit2, freedom)
+    return Fit(x, np.asarray(cv2.invert(information)[1] * factor, np.float64), agreed, float(np.sqrt(misfit2)))
 
 
-def caution(freedom: int) -> float:
-    """Factor of a stated covariance: a misfit from few points is itself uncertain."""
-    return 1 + 10 / freedom
+def widened(shared: float, misfit2: float, freedom: float) -> float:
+    """Factor of the covariance of points with errors of their own.
+
+    What points share does not average out. A misfit above 1 is an error of each besides; from few points it is itself
+    uncertain (Student's t, to first order).
+    """
+    return shared + max(misfit2 * (1 + 2 / freedom) - 1, 0.0)
 
 
 def across(target: Target, points: Points, x: Array, roughness_m: float) -> Array:

@@ -23,6 +23,7 @@ from leadline.ranging.layout import (
     patch_size,
     predicted,
     round_inset,
+    shared,
     visible,
 )
 from leadline.ranging.patches import Limits, Verdict, refine, search
@@ -211,7 +212,8 @@ class StereoRanger:
         verdict[alike] = matches.verdict
         good = matches.verdict == Verdict.MATCHED
         shift_px = matches.shift_px[good]
-        points = triangulated(pair.rig, expected.pick(alike).pick(good), level, shift_px, matches.sigma_px[good])
+        matched = expected.pick(alike).pick(good)
+        points = triangulated(pair.rig, matched, level, shift_px, matches.sigma_px[good])
         return _Round(points, float(np.sort(np.abs(shift_px))[len(shift_px) // 2]) if len(shift_px) else 0.0, verdict)
 
 
@@ -234,5 +236,6 @@ def triangulated(rig: Rig, expected: Prediction, level: int, shift_px: Array, si
     target_px = (expected.warp.expected_px + shift_px[:, None] * along + 0.5) * 2**level - 0.5
     inverse += np.einsum("ni,ni->n", along, target_px - at_px) / 2**level / expected.rate_px_m  # not quite even
     good = np.isfinite(inverse) & (inverse > 0) & (inverse < 1 / NEAREST_M)
-    points = Points(origins, directions, 1 / inverse, sigma_px / expected.rate_px_m / inverse**2)
+    common = shared(expected.warp.centre_px, 2 * expected.warp.half + 1)
+    points = Points(origins, directions, 1 / inverse, sigma_px / expected.rate_px_m / inverse**2, common)
     return points if good.all() else points.pick(good)

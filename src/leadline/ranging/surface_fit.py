@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from leadline.ranging.shape_fit import Fit, Points
+from leadline.ranging.shape_fit import Fit, Points, widened
 from leadline.samples import Array
 from leadline.target import Surface
 
@@ -30,7 +30,7 @@ def fit_surface(points: Points, beam: tuple[Array, Array] | None) -> Fit | None:
     start = u[np.argsort(u[:, 2])[: max(3, len(u) // 6)], :2].mean(axis=0)
     agreed = np.ones(len(p), bool)
     for _ in range(3):
-        coefficients, cov, agreed = _quadric(u, points.sigma_m, start)
+        coefficients, cov, agreed = _quadric(u, points, start)
         nearest = _nearest(coefficients, u[agreed, :2])
         start = nearest[:2]
     terms = _terms(nearest[None, :2])[0]
@@ -59,24 +59,24 @@ def _terms(ab: Array) -> Array:
     return np.stack([np.ones_like(a), a, b, a * a, a * b, b * b], axis=1)
 
 
-def _quadric(u: Array, sigma_m: Array, centre: Array) -> tuple[Array, Array, Array]:
+def _quadric(u: Array, points: Points, centre: Array) -> tuple[Array, Array, Array]:
     """Coefficients (6,), covariance, and the points (N,) that agree; robust, local around ``centre``."""
     extent = float(np.ptp(u[:, :2], axis=0).max())
     kernel = np.exp(-0.5 * ((u[:, :2] - centre) ** 2).sum(axis=1) / (KERNEL * extent) ** 2)
     terms = _terms(u[:, :2])
     ridge = np.diag([0.0, *[1 / SLOPE**2] * 2, *[(extent / CURVATURE) ** 2] * 3])  # nothing steep from noise alone
-    weight = kernel / sigma_m**2
+    weight = kernel / points.sigma_m**2
     agreed = np.ones(len(u), bool)
     scale = 1.0
     for _ in range(6):
         information = (terms * (weight * agreed)[:, None]).T @ terms + ridge
         coefficients = np.linalg.solve(information, terms.T @ (weight * agreed * u[:, 2]))
-        off = np.abs(u[:, 2] - terms @ coefficients) / sigma_m
+        off = np.abs(u[:, 2] - terms @ coefficients) / points.sigma_m
         scale = max(1.0, 1.4826 * float(np.median(off[agreed])))
         agreed = off < MISMATCH_SIGMAS * scale
         if agreed.sum() < 8:
             agreed = off <= np.sort(off)[7]
-    return coefficients, np.linalg.inv(information) * scale**2, agreed
+    return coefficients, np.linalg.inv(information) * widened(points.shared, scale**2, agreed.sum()), agreed
 
 
 def _model_error(coefficients: Array, ab: Array) -> float:
