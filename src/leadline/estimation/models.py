@@ -10,7 +10,7 @@ part is what stays constant (in a frame that does not turn), so that turning to 
 
 from __future__ import annotations
 
-from math import exp
+from math import cos, exp, sin, sqrt
 
 import numpy as np
 
@@ -53,6 +53,9 @@ class MotionModel:
 
     def predict(self, state: State, t_ns: int, turn_rad_s: Array | None = None, turn_sigma: float = 0.0) -> State:
         """The state at another time; ``turn_rad_s`` (3,): the camera's mean rotation until then, where measured."""
+        before = state.turn_rad_s
+        if t_ns == state.t_ns and (turn_rad_s is None or (before is not None and (turn_rad_s == before).all())):
+            return State(t_ns, state.y, state.P, self.k, state.noise, turn_rad_s, state.refused)
         F, Q = self.step(state, t_ns, turn_rad_s, turn_sigma)
         P = F @ state.P @ F.T
         P = P + P.T  # rounding must not make it lopsided: that would grow
@@ -148,8 +151,16 @@ def cross(v: Array) -> Array:
 
 def rotation(vector: Array) -> Array:
     """The rotation (3, 3) about a vector by its length (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
+    x, y, z = vector.tolist()
+    angle = sqrt(x * x + y * y + z * z)
     if angle < 1e-12:
         return np.eye(3)
-    K = cross(vector / angle)
-    return np.asarray(np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * (K @ K))
+    x, y, z, sine, cosine = x / angle, y / angle, z / angle, sin(angle), cos(angle)
+    v = 1 - cosine
+    return np.array(
+        [
+            [cosine + v * x * x, v * x * y - sine * z, v * x * z + sine * y],
+            [v * x * y + sine * z, cosine + v * y * y, v * y * z - sine * x],
+            [v * x * z - sine * y, v * y * z + sine * x, cosine + v * z * z],
+        ]
+    )

@@ -6,7 +6,9 @@ with a measurement that says nothing (``filled``).
 
 from __future__ import annotations
 
-from math import sqrt
+from math import nan, sqrt
+
+import numpy as np
 
 from leadline.samples import Array
 
@@ -68,3 +70,12 @@ def dot(v: Vector, w: Vector) -> float:
 def trace(C: Symmetric, D: Symmetric) -> float:
     """Of the product."""
     return C[0] * D[0] + C[2] * D[2] + C[5] * D[5] + 2 * (C[1] * D[1] + C[3] * D[3] + C[4] * D[4])
+
+
+def chi_square(off: Array, cov: Array) -> float:
+    """The square of a difference (m,) in its covariance (m, m); NaN where that is none."""
+    if len(off) > 3:
+        return float(off @ np.linalg.solve(cov, off))
+    C = inverse(filled(cov, 1.0))
+    x, y, z = (*off.tolist(), 0.0, 0.0)[:3]
+    return nan if C is None else dot((x, y, z), times(C, (x, y, z)))

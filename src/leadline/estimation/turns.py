@@ -34,7 +34,8 @@ class Turns:
             told = [t for t in self._known[max(first - 1, 0) : first + 1] if self._near(t[0], from_ns, to_ns)][:1]
         if not told:
             return None, 0.0
-        return np.mean([rotation for _, rotation, _ in told], axis=0), told[-1][2]
+        x, y, z = (sum(axis) / len(told) for axis in zip(*(rotation for _, rotation, _ in told), strict=True))
+        return np.array((x, y, z)), told[-1][2]
 
     def _near(self, t_ns: int, from_ns: int, to_ns: int) -> bool:
         return from_ns - HOLD_NS <= t_ns <= to_ns + HOLD_NS

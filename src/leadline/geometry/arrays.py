@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -38,6 +39,16 @@ def as_unit(values: ArrayLike, name: str) -> Array:
     unit: Array = vector / length if abs(length - 1.0) > 1e-15 else vector
     unit.flags.writeable = False
     return unit
+
+
+def across(direction: Array) -> Array:
+    """Two unit vectors (2, 3) at right angles to each other and to a direction (3,): to the right, and down."""
+    x, y, z = direction.tolist()
+    flat, length = math.hypot(x, z), math.sqrt(x * x + y * y + z * z)
+    if flat == 0:
+        return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -math.copysign(1.0, y)]])
+    x, y, z, right_x, right_z = x / length, y / length, z / length, z / flat, -x / flat
+    return np.array([[right_x, 0.0, right_z], [y * right_z, z * right_x - x * right_z, -y * right_x]])
 
 
 def chunks(count: int) -> Iterator[slice]:

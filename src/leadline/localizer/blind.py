@@ -17,6 +17,7 @@ import numpy as np
 from leadline.config import StatusConfig
 from leadline.estimation import Estimate
 from leadline.geometry import Beam
+from leadline.geometry.arrays import across
 from leadline.samples import NS_PER_S, Array, Kind, Measurement
 from leadline.target import Cylinder, Sphere, Target
 
@@ -35,7 +36,7 @@ def held(before: Estimate, last_seen: Estimate, target: Target, config: StatusCo
     place, expected = before.x[:3], last_seen.x[:3]
     if not isinstance(target, Sphere | Cylinder):  # of a wall the direction stays, not the place
         expected = expected * (np.linalg.norm(place) / np.linalg.norm(expected))
-    sides = np.linalg.svd(place[None])[2][1:]
+    sides = across(place)
     values, vectors = np.linalg.eigh(sides @ before.cov[:3, :3] @ sides.T)
     loose = values > bound_m**2
     if not loose.any():
@@ -51,13 +52,13 @@ class Aside:
 
     def __init__(self, target: Target, beam: Beam, believed: Estimate) -> None:
         self._target, self._beam = target, beam
-        sides = np.linalg.svd(beam.direction[None])[2][1:]
+        sides = across(beam.direction)
         values, vectors = np.linalg.eigh(sides @ believed.cov[:3, :3] @ sides.T)
         u = np.concatenate([beam.direction, np.zeros(len(believed.x) - 3)])
-        across = np.linalg.solve(believed.cov + 1e-12 * np.eye(len(u)), u)
-        self._along = across / (u @ across)  # P times this is parallel to u
+        fixed = np.linalg.solve(believed.cov + 1e-12 * np.eye(len(u)), u)
+        self._along = fixed / (u @ fixed)  # P times this is parallel to u
         offsets = NODES @ ((vectors * np.sqrt(np.maximum(values, 0.0))).T @ sides)
-        lengths = np.array([self._at(believed.x, offset)[0] for offset in offsets])
+        lengths = self._lengths(believed.x, offsets)
         hit = np.isfinite(lengths)
         self.variance_m2 = 0.0
         self.is_hit = bool(WEIGHTS[hit].sum() > LEAST_HIT * WEIGHTS.sum())
@@ -74,6 +75,13 @@ class Aside:
         if np.linalg.norm(gradient[:3]) > STEEPEST:  # it says more about the limb than about the distance
             return np.nan, gradient
         return length, float(gradient[:3] @ self._beam.direction) * self._along
+
+    def _lengths(self, x: Array, offsets_m: Array) -> Array:
+        """To the target (N,), were it moved by each of the offsets (N, 3)."""
+        if not isinstance(self._target, Sphere):
+            return np.array([self._at(x, offset_m)[0] for offset_m in offsets_m])
+        origins = self._beam.origin_m - offsets_m  # a ball does not turn: as well the beam may move, and all at once
+        return self._target.beam_length(x, origins, np.broadcast_to(self._beam.direction, origins.shape))[0]
 
     def _at(self, x: Array, offset_m: Array) -> tuple[float, Array]:
         moved = x.copy()

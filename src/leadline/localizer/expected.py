@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from math import hypot, sqrt
+
 import numpy as np
 
 from leadline.estimation import Estimate
+from leadline.geometry.arrays import across
 from leadline.recognition.track import Expected
 from leadline.rig import Rig
 from leadline.samples import Array
@@ -26,17 +29,17 @@ def expected(rig: Rig, target: Target, estimate: Estimate) -> Expected | None:
     last = np.array([rig.left.width, rig.left.height]) - 0.5
     low, high = np.clip([outline.min(axis=0), outline.max(axis=0)], -0.5, last)
     seen = jacobians[np.isfinite(jacobians).all(axis=(1, 2))][0]  # the middle's, where that is in the lens's field
-    spread = np.linalg.eigvalsh(seen @ estimate.cov[:3, :3] @ seen.T)[-1]
+    (uu, uv), (_, vv) = (seen @ estimate.cov[:3, :3] @ seen.T).tolist()
+    spread = (uu + vv) / 2 + hypot((uu - vv) / 2, uv)  # the larger eigenvalue
     (x, y), (width, height) = low.tolist(), (high - low).tolist()
-    return Expected((x, y, width, height), float(np.sqrt(max(spread, 0.0))))
+    return Expected((x, y, width, height), sqrt(max(spread, 0.0)))
 
 
 def _front(target: Sphere, x: Array) -> Array:
     """Points (72, 3) of the ball's face, the first 24 where rays from the left pupil would touch it without a port."""
     distance = float(np.linalg.norm(x[:3]))
     sight, limb = x[:3] / distance, np.arccos(min(target.radius_m(x) / distance, 0.98))
-    sides = np.linalg.svd(sight[None])[2][1:]
     angle = (limb * RINGS)[:, None, None]
-    around = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1) @ sides
+    around = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1) @ across(sight)
     outward = np.sin(angle) * around - np.cos(angle) * sight
     return np.asarray(x[:3] + target.radius_m(x) * outward.reshape(-1, 3))

@@ -17,6 +17,7 @@ import numpy as np
 
 from leadline.config import Config
 from leadline.estimation import Estimate, Filter, FilterSettings
+from leadline.estimation.small import chi_square
 from leadline.localizer.agreement import Agreement
 from leadline.localizer.blind import held
 from leadline.localizer.expected import expected
@@ -97,27 +98,28 @@ class Localizer:
         if not self._filtered:
             self._forget()
         self._expire(frame.t_ns)
-        before = self._hold(self._estimate(taken_ns(frame)))
+        t_ns = taken_ns(frame)
+        before = self._hold(self._estimate(t_ns))
         frame = self._fresh(frame)
         self._lag_ns = max(self._newest_reading_ns - frame.t_ns, 0)
         self.detections = self._finder.find(frame)
-        box = self._where(taken_ns(frame), before)
+        box = self._where(t_ns, before)
         if box is None and before is None:
             return self._solution(frame.t_ns, [], [])
         skew = skew_of(frame, self._target, before, self._motion, self._config.filter.initial_speed_m_s)
         found = self._sight.spot(frame, before, skew) if box is None else self._sight.measure(frame, box, before, skew)
         if self._laser is not None and not self._filtered:
-            found += self._laser.near(taken_ns(frame))
+            found += self._laser.near(t_ns)
         measurements = self._believable([one for one in found if isinstance(one, Measurement)], before)
         rejected = [one for one in found if isinstance(one, Rejected)]
-        now_ns = self._witnesses.now_ns(taken_ns(frame))
-        believed = self._estimate(now_ns)
-        if not self._filter.alive and not self._start(taken_ns(frame), measurements):
+        now_ns = self._witnesses.now_ns(t_ns)
+        believed = before if now_ns == t_ns else self._estimate(now_ns)
+        if not self._filter.alive and not self._start(t_ns, measurements):
             return self._solution(frame.t_ns, [], rejected)
-        used, turned_away = self._add(taken_ns(frame), measurements, before)
-        self._hear(taken_ns(frame), measurements, now_ns, believed)
+        used, turned_away = self._add(t_ns, measurements, before)
+        self._hear(t_ns, measurements, now_ns, believed)
         self._compare(measurements, used)
-        self._look_back(taken_ns(frame), used)
+        self._look_back(t_ns, used)
         return self._solution(frame.t_ns, used, rejected + turned_away)
 
     def _fresh(self, frame: StereoFrame) -> StereoFrame:
@@ -147,7 +149,7 @@ class Localizer:
         unseen = self._laser.aside(before) if self._blind(reading.t_ns) else None
         measurement = self._laser.take(reading, unseen)
         now_ns = self._witnesses.now_ns(reading.t_ns)
-        believed = self._estimate(now_ns)
+        believed = before if now_ns == reading.t_ns else self._estimate(now_ns)
         used, rejected = self._filter.add(reading.t_ns, [measurement])
         self._hear(reading.t_ns, [measurement], now_ns, believed)
         return self._solution(sample.t_ns, used, rejected)
@@ -157,21 +159,26 @@ class Localizer:
         self._witnesses.moved(now_ns, believed, self._filter.at(now_ns))
         x = self._filter.at(t_ns)
         slack_m2 = self._laser.aside(x).variance_m2 if self._laser is not None and self._blind(t_ns) else 0.0
+        seen_m2 = self._seen_m2(x) if any(one.kind is not Kind.LASER for one in found) else 0.0
         for one in found:
-            said = self._witnesses.evidence(one, x, self._common_m2(one, x), slack_m2)
+            said = self._witnesses.evidence(one, x, self._common_m2(one, x, seen_m2), slack_m2)
             if said is not None:
                 self._witnesses.hear(said)
 
-    def _common_m2(self, one: Measurement, x: Estimate) -> float:
+    def _seen_m2(self, x: Estimate) -> float:
+        """The calibration's part of a distance's variance that is seen, along the sight."""
+        sight = self._target.range(x.x)[1][:3]
+        return float(sight @ self._sight.calibration.at(x.x[:3]) @ sight)
+
+    def _common_m2(self, one: Measurement, x: Estimate, seen_m2: float) -> float:
         """The part of a measurement's variance, along the sight, that no averaging removes."""
         if one.kind is Kind.LASER:
             assert self._laser is not None
             return self._config.status.laser_bias_m**2 + self._laser.calibration_variance_m2
         distance, gradient = self._target.range(x.x)
-        calibration = float(gradient[:3] @ self._sight.calibration.at(x.x[:3]) @ gradient[:3])
         if one.kind is Kind.STEREO:
-            return calibration + self._matching_bias_m(distance, self._config.status.bias_px) ** 2
-        return calibration if one.common is None else calibration + float(gradient @ one.common) ** 2
+            return seen_m2 + self._matching_bias_m(distance, self._config.status.bias_px) ** 2
+        return seen_m2 if one.common is None else seen_m2 + float(gradient @ one.common) ** 2
 
     def _matching_bias_m(self, distance_m: float, bias_px: float) -> float:
         return distance_m**2 * bias_px / (self._rig.focal_outside_px * self._rig.baseline_m)
@@ -242,8 +249,7 @@ class Localizer:
         if expected is None:
             return True
         off, H = one.z - expected[0], expected[1]
-        chi2 = float(off @ np.linalg.solve(one.cov + H @ before.cov @ H.T, off))
-        return chi2 < (SURPRISE if one.kind in self._strange else STRANGE)
+        return chi_square(off, one.cov + H @ before.cov @ H.T) < (SURPRISE if one.kind in self._strange else STRANGE)
 
     def _believable(self, measurements: list[Measurement], before: Estimate | None) -> list[Measurement]:
         """A spot on a target that is not seen itself tells a distance only."""
@@ -281,9 +287,13 @@ class Localizer:
         """The target's box: a detection that goes on from where it was, else where it must still be."""
         if before is None:
             self._track.forget()
-            return self._track.follow(t_ns, self.detections, None, self._sight.beam_px())
+            return self._track.follow(t_ns, self.detections, None, self._hit_px())
         outline = expected(self._rig, self._target, before)
-        return self._track.follow(t_ns, self.detections, outline, self._sight.beam_px())
+        return self._track.follow(t_ns, self.detections, outline, self._hit_px())
+
+    def _hit_px(self) -> tuple[float, float] | None:
+        """Where the beam ends, for whoever has to choose between detections."""
+        return self._sight.beam_px() if len(self.detections) > 1 else None
 
     def _start(self, t_ns: int, measurements: Sequence[Measurement]) -> bool:
         """Begin a track: wide, where the first measurement that fixes a position has it."""
