@@ -2,62 +2,27 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-import time
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Download, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Download, expect
 
 from leadline.sinks.control import Desk, Event, Request, Wish
 from leadline.sinks.web_access import Place
 from page_scenes import Scene, served
+from page_tabs import Tab, answered_by, chromium, lit, needs_chromium
 
-CHROMIUM = os.environ.get("LEADLINE_CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
-PATIENCE_MS = 30_000
 TOKEN = "a-token-of-the-tests"
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine (LEADLINE_CHROMIUM names one)")
+pytestmark = needs_chromium
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield chromium
-        chromium.close()
-
-
-class Tab:
-    """A page without any network but this computer; what it complains about and asks for is kept."""
-
-    def __init__(self, browser: Browser, width: int = 1280, height: int = 800, scheme: str = "light") -> None:
-        self.context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)  # type: ignore[arg-type]
-        self.page: Page = self.context.new_page()
-        self.page.set_default_timeout(PATIENCE_MS)
-        self.complaints: list[str] = []
-        self.elsewhere: list[str] = []
-        self.page.on("console", lambda said: self.complaints.append(said.text) if said.type == "error" else None)
-        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        self.context.route("**/*", self._route)
-
-    def _route(self, route: object) -> None:
-        url = route.request.url  # type: ignore[attr-defined]
-        if url.startswith(("http://127.0.0.1:", "blob:http://127.0.0.1:")):
-            route.continue_()  # type: ignore[attr-defined]
-        else:
-            self.elsewhere.append(url)
-            route.abort()  # type: ignore[attr-defined]
-
-    def shot(self, name: str) -> None:
-        if folder := os.environ.get("LEADLINE_SHOTS"):
-            self.page.screenshot(path=Path(folder) / f"{name}.png", full_page=True)
-
-    def link(self, words: str) -> None:
-        expect(self.page.locator("#link")).to_have_text(words, timeout=PATIENCE_MS)
+    with chromium() as browser:
+        yield browser
 
 
 @pytest.fixture
@@ -68,23 +33,7 @@ def tab(browser: Browser) -> Iterator[Tab]:
 
 
 def answered(scene: Scene, wish: Wish) -> Request:
-    """The next request of this kind, as the loop would take it."""
-    for _ in range(500):
-        for request in scene.control.take():
-            if request.wish is wish:
-                return request
-        time.sleep(0.01)
-    raise AssertionError(f"nobody asked to {wish}")
-
-
-def lit(page: Page, canvas: str) -> int:
-    """How many different colours a canvas shows."""
-    return page.evaluate(
-        """(id) => { const c = document.getElementById(id);
-        const d = new Uint32Array(c.getContext("2d").getImageData(0, 0, c.width, c.height).data.buffer);
-        return new Set(d).size; }""",
-        canvas,
-    )  # type: ignore[no-any-return]
+    return answered_by(scene.control, wish)
 
 
 def test_a_dive_is_shown_to_its_end_with_the_network_off(tab: Tab) -> None:

@@ -36,14 +36,15 @@ _TURNS = {None: (0.0, 0.0), "top": (1.0, 0.0), "bottom": (-1.0, 0.0), "left": (0
 _BORDER = 0.7  # of a square, around the outermost corners: what must be in the picture, for a corner to be found
 _MARGIN = 0.01  # of the picture's width
 _CELL_WORTH = 0.5  # of a missing cell, beside a missing distance or tilt
+_NEW, _REFUSED = 1.4, 100.0  # what is hardly unlike one that is there would be refused: the last thing to advise
 _NEW_WORTH = 0.3  # of each step by which it differs from all that there is, to three
-_ROUNDS = 3
+_ROUNDS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Advice:
-    """A pose to show next: T_left_board, in words, and where the board would be in both pictures, four points (4, 2)
-    each, px."""
+    """A pose to show next: T_left_board, in words, and where its corners, and what must be seen around them, would be
+    in both pictures, four points (4, 2) each, px."""
 
     pose: Pose
     place: str
@@ -61,18 +62,18 @@ class Advice:
 def advised(coverage: Coverage, rig: Rig, board: Board, medium: Medium) -> Advice | None:
     """None where no such pose fits both pictures. Deterministic: of equals the first."""
     best: tuple[float, Posed, tuple[str, str, str | None]] | None = None
-    for band, (place, way), tilt in product(BANDS, PLACES.items(), _TURNS):
-        posed = posed_board(rig, board, medium, way, _distance_m(coverage, band), tilt)
-        if posed is None:
-            continue
-        worth = _worth(coverage, posed.pixels, band, tilt, (rig.left.width, rig.left.height))
-        worth += _NEW_WORTH * min(_newness(coverage, posed, rig), 3.0)
-        if best is None or worth > best[0] + 1e-9:
-            best = worth, posed, (place, band, tilt)
+    for band, (place, way) in product(BANDS, PLACES.items()):
+        posed_boards = pushed(rig, board, medium, way, _distance_m(coverage, band))
+        for tilt, posed in posed_boards.items():
+            worth = _worth(coverage, posed.pixels, band, tilt, (rig.left.width, rig.left.height))
+            newness = _newness(coverage, posed, rig)
+            worth += _NEW_WORTH * min(newness, 3.0) - (_REFUSED if newness < _NEW else 0.0)
+            if best is None or worth > best[0] + 1e-9:
+                best = worth, posed, (place, band, tilt)
     if best is None:
         return None
     _, posed, (place, band, tilt) = best
-    rim = _pixels(rig, medium, posed.pose.apply(_rim_m(board, 1.0)))
+    rim = _pixels(rig, medium, posed.pose.apply(_rim_m(board, _BORDER)))
     return Advice(posed.pose, place, band, float(posed.middle_m[2]), tilt, rim)
 
 
@@ -91,28 +92,31 @@ class Posed:
         return Pose(self.R, self.middle_m - self.R @ self.board.points_m.mean(axis=0))
 
 
-def posed_board(
-    rig: Rig, board: Board, medium: Medium, way: tuple[int, int], distance_m: float, tilt: str | None
-) -> Posed | None:
-    """A board at a distance, pushed into a corner (``way``: left or right, up or down; 0 the middle) of what both
-    cameras see; None where it does not fit."""
-    R = turn(np.radians(ADVISED_DEG) * np.array([*_TURNS[tilt], 0.0]))
-    rim = (_rim_m(board, _BORDER) - board.points_m.mean(axis=0)) @ R.T
-    place = np.array([0.0, 0.0, distance_m])
+def pushed(rig: Rig, board: Board, medium: Medium, way: tuple[int, int], distance_m: float) -> dict[str | None, Posed]:
+    """Boards at a distance, square and tilted each way, pushed into a corner (``way``: left or right, up or down; 0 the
+    middle) of what both cameras see; those that do not fit are left out."""
+    R = np.array([turn(np.radians(ADVISED_DEG) * np.array([*tilt, 0.0])) for tilt in _TURNS.values()])
+    middle = board.points_m.mean(axis=0)
+    rims = (_rim_m(board, _BORDER) - middle) @ R.transpose(0, 2, 1)
+    places = np.tile([0.0, 0.0, distance_m], (len(R), 1))
     size = np.array([rig.left.width, rig.left.height])
     margin = _MARGIN * size[0]
     for _ in range(_ROUNDS):
-        low, high = _bounds(_pixels(rig, medium, rim + place))
-        if not np.isfinite(low + high).all():
-            return None
-        goals = np.stack([margin - low, (size - low - high) / 2, size - 1 - margin - high])
-        shift = goals[np.array(way) + 1, (0, 1)]
-        place[:2] += shift * distance_m / (rig.left.fx, rig.left.fy) / _index(rig, medium)
-    low, high = _bounds(_pixels(rig, medium, rim + place))
-    if not (np.isfinite(low + high).all() and (low > -2).all() and (high < size + 1).all()):
-        return None
-    points = (board.points_m - board.points_m.mean(axis=0)) @ R.T + place
-    return Posed(R, place, board, _pixels(rig, medium, points))
+        low, high = _bounds(rig, medium, rims + places[:, None])
+        goals = np.stack([margin - low, (size - low - high) / 2, size - 1 - margin - high], axis=1)
+        shift = np.nan_to_num(goals[:, np.array(way) + 1, (0, 1)])
+        places[:, :2] += shift * distance_m / (rig.left.fx, rig.left.fy) / _index(rig, medium)
+    low, high = _bounds(rig, medium, rims + places[:, None])
+    fits = (low > -2).all(axis=1) & (high < size + 1).all(axis=1)
+    points = (board.points_m - middle) @ R.transpose(0, 2, 1) + places[:, None]
+    pixels = {
+        side: q.reshape(points.shape[0], -1, 2) for side, q in _pixels(rig, medium, points.reshape(-1, 3)).items()
+    }
+    return {
+        tilt: Posed(R[i], places[i], board, {side: q[i] for side, q in pixels.items()})
+        for i, tilt in enumerate(_TURNS)
+        if fits[i]
+    }
 
 
 def _index(rig: Rig, medium: Medium) -> float:
@@ -123,10 +127,11 @@ def _pixels(rig: Rig, medium: Medium, points_m: Array) -> dict[Side, Array]:
     return {side: project(rig, side, sees_in(rig, medium), points_m)[0] for side in SIDES}
 
 
-def _bounds(pixels: dict[Side, Array]) -> tuple[Array, Array]:
-    low = np.min([q.min(axis=0) for q in pixels.values()], axis=0)
-    high = np.max([q.max(axis=0) for q in pixels.values()], axis=0)
-    return low, high
+def _bounds(rig: Rig, medium: Medium, points_m: Array) -> tuple[Array, Array]:
+    """Of groups of points (k, n, 3): the least and the greatest pixel (k, 2) in either picture."""
+    both = [q.reshape(len(points_m), -1, 2) for q in _pixels(rig, medium, points_m.reshape(-1, 3)).values()]
+    together = np.concatenate(both, axis=1)
+    return together.min(axis=1), together.max(axis=1)
 
 
 def _distance_m(coverage: Coverage, band: str) -> float:

@@ -168,7 +168,7 @@ class Coverage:
         near, far = self.edges_m
         return {
             "near": f"nearer than {near:.2g} m",
-            "middle": f"between {near:.2g} and {far:.2g} m",
+            "middle": f"{near:.2g} to {far:.2g} m",
             "far": f"beyond {far:.2g} m",
         }[band]
 

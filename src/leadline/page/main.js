@@ -2,15 +2,16 @@
 import { Curves } from "/curves.js";
 import { Link } from "/link.js";
 import { Map2 } from "/maps.js";
-import { drawPictures } from "/pictures.js";
+import { drawPictures, overlay } from "/pictures.js";
 import { show, showConnection, showHello, showRates } from "/show.js";
+import { startTheme, toggleTheme } from "/theme.js";
 
 const byId = (id) => document.getElementById(id);
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const canvases = { left: byId("left"), right: byId("right") };
 const SLOW_MS = 180; // between two drawings of curves and maps: they say nothing new faster
 
-setTheme(localStorage.getItem("theme") ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"));
+startTheme();
 const curves = new Curves(byId("plot"), colour);
 const maps = [new Map2(byId("above"), "above", colour), new Map2(byId("side"), "side", colour)];
 let hello = null, desk = {}, drawn = 0, shown = Promise.resolve();
@@ -35,7 +36,10 @@ async function take(head, blobs) {
       curves.add(head.rows, head.readings);
       maps.forEach((map) => map.add(head.rows));
     }
-    if (blobs.length) await drawPictures(canvases, blobs, head.scene, hello.size, hello.beam);
+    if (blobs.length) {
+      const paint = (pen, side, scale) => overlay(pen, side, head.scene, hello.beam, scale);
+      await drawPictures(canvases, blobs, hello.size, paint);
+    }
     if (performance.now() - drawn > SLOW_MS) redraw();
   }
   showRates(head);
@@ -48,17 +52,12 @@ function redraw() {
   maps.forEach((map) => map.draw());
 }
 
-function setTheme(theme) {
-  document.documentElement.dataset.theme = theme;
-}
-
 const actions = {
   record: () => link.say({ do: desk.recording ? "stop" : "record" }),
   mark: () => { byId("mark_text").value = ""; byId("mark_dialog").showModal(); },
   download: () => byId("download").click(),
   theme: () => {
-    setTheme(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
-    localStorage.setItem("theme", document.documentElement.dataset.theme);
+    toggleTheme();
     curves.build();
     redraw();
   },

@@ -1,20 +1,23 @@
 // Both images with what was found in them. Overlays come in the pixels of the full image.
 const COLOURS = { box: "#ffb000", target: "#00e5ff", beam: "#ff5fdc", spot: "#7cff4f" };
 
-export async function drawPictures(canvases, blobs, scene, size, beam) {
+// paint(pen, side, scale): what goes over a picture; scale: of the full image's pixels.
+export async function drawPictures(canvases, blobs, size, paint) {
   const images = await Promise.all(blobs.map((blob) => createImageBitmap(blob)));
   ["left", "right"].forEach((side, i) => {
     const canvas = canvases[side], image = images[i], pen = canvas.getContext("2d");
     if (canvas.width !== image.width || canvas.height !== image.height) [canvas.width, canvas.height] = [image.width, image.height];
     pen.drawImage(image, 0, 0);
     image.close();
-    overlay(pen, side, scene, beam, canvas.width / size[0]);
+    paint(pen, side, canvas.width / size[0]);
   });
 }
 
-function overlay(pen, side, scene, beam, scale) {
-  const at = (point) => (point ? [(point[0] + 0.5) * scale, (point[1] + 0.5) * scale] : null);
-  const unit = pen.canvas.width / 320; // lines as wide in a small picture as in a large one
+export const placed = (scale) => (point) => (point ? [(point[0] + 0.5) * scale, (point[1] + 0.5) * scale] : null);
+export const unitOf = (pen) => pen.canvas.width / 320; // lines as wide in a small picture as in a large one
+
+export function overlay(pen, side, scene, beam, scale) {
+  const at = placed(scale), unit = unitOf(pen);
   if (beam) line(pen, beam[side].map(at), COLOURS.beam, 1.3 * unit, [6 * unit, 4 * unit]);
   if (side === "left") for (const found of scene.boxes) box(pen, found, scale, unit);
   if (scene.outline) line(pen, scene.outline[side].map(at), COLOURS.target, 1.2 * unit);
@@ -24,7 +27,7 @@ function overlay(pen, side, scene, beam, scale) {
   if (spot) ring(pen, spot, COLOURS.spot, 4.5 * unit, 1.5 * unit, scene.spot_seen);
 }
 
-function haloed(pen, colour, width, path) { // readable on whatever is behind
+export function haloed(pen, colour, width, path) { // readable on whatever is behind
   for (const [style, wide] of [["rgba(0,0,0,.75)", width * 2.2], [colour, width]]) {
     pen.strokeStyle = style;
     pen.lineWidth = wide;
@@ -34,7 +37,7 @@ function haloed(pen, colour, width, path) { // readable on whatever is behind
   }
 }
 
-function line(pen, points, colour, width, dashes = []) {
+export function line(pen, points, colour, width, dashes = []) {
   pen.setLineDash(dashes);
   haloed(pen, colour, width, () => {
     let down = false;

@@ -1,6 +1,8 @@
 // Words and numbers of the page.
 import { STAGES, STAGE_WORDS, STATUS_WORDS, clock, closing, length, metres, partName, small, standoff, turn } from "/words.js";
 
+import { Connection } from "/connection.js";
+
 const byId = (id) => document.getElementById(id);
 const put = (id, words) => { const place = byId(id); if (place.textContent !== words) place.textContent = words; };
 const make = (tag, words, kind = "") => Object.assign(document.createElement(tag), { textContent: words, className: kind });
@@ -85,27 +87,9 @@ function showDesk(desk, events) {
   trouble = desk.trouble;
 }
 
-let trouble = "", ended = null;
-
-export function showConnection(state, head = {}) {
-  if (head.ended !== undefined) ended = head.ended;
-  if (state !== "open") ended = null;
-  const silent = head.silent_s > 2.5;
-  const words = {
-    lost: ["Connection lost", "Connection lost: what you see is old. Trying again every second…"],
-    refused: ["Token refused", "The server asks for its token: open the address that leadline has printed."],
-    ended: ["Dive ended", `The dive has ended. ${ended?.join(" ") ?? ""}`],
-    silent: ["No data", `No sensor has said anything for ${Math.round(head.silent_s)} s. Are the devices connected?`],
-    open: ["Live", trouble],
-  };
-  const now = state !== "open" ? state : ended ? "ended" : silent ? "silent" : "open";
-  put("link", words[now][0]);
-  byId("link").dataset.state = now;
-  put("banner", words[now][1]);
-  byId("banner").hidden = !words[now][1];
-  byId("banner").dataset.state = now;
-  document.body.classList.toggle("old", state !== "open");
-}
+let trouble = "";
+const connection = new Connection(["Dive ended", "The dive has ended."]);
+export const showConnection = (state, head = {}) => connection.show(state, head, trouble);
 
 let counted = { since: performance.now(), messages: 0, frames: null };
 

@@ -10,23 +10,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from leadline.calibration.advice import Advice, advised
 from leadline.calibration.amiss import amiss
 from leadline.calibration.board import Board, Corners, find_corners
 from leadline.calibration.cameras import CameraSettings
-from leadline.calibration.coverage import (
-    BANDS,
-    BOARDS,
-    EACH_BAND,
-    EACH_TILT,
-    TILTS,
-    Coverage,
-    Stance,
-    coverage_of,
-    guessed_rig,
-    stance_of,
-)
-from leadline.calibration.trial import FIRST, Trial, trial
+from leadline.calibration.coverage import BANDS, BOARDS, EACH_BAND, EACH_TILT, TILTS, Stance
+from leadline.calibration.guide import Guide
+from leadline.calibration.trial import Trial, trial
 from leadline.calibration.views import BoardView, numbered_alike
 from leadline.errors import InputError
 from leadline.pipeline.calibrate_cameras import find_boards
@@ -38,7 +27,7 @@ from leadline.samples import Array, Image, StereoFrame
 from leadline.sinks.web_capture import Look, Status, Wanted
 from leadline.wire.images import encode_png
 
-_QUICK_WIDTH_PX = 1280  # a live picture no wider than this is asked first whether there is a board at all
+_QUICK_WIDTHS_PX = 1280, 1920  # to which a live picture is brought, to ask whether there is a board at all
 _QUICK = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
 
 
@@ -61,69 +50,60 @@ class BoardCapture:
             "medium": str(medium),
         }
         self.folder = CaptureFolder(out, ("right", "left"), kind)
-        self._views: list[BoardView] = []
-        self._size: tuple[int, int] | None = None
+        self.guide = self._begun()
         self._pool = ThreadPoolExecutor(2, "leadline-capture")
         self._trying: tuple[Future[Trial], tuple[str, ...]] | None = None
-        self._tried: tuple[Trial, tuple[str, ...]] | None = None
         self._steady = Steady(stills=patient)
         self._settings = _settings(rig)
-        self._go_on()
-        self._refresh()
         self._try()
 
-    def _go_on(self) -> None:
-        """With what is there already, seen as `calibrate cameras` will see it."""
+    def _begun(self) -> Guide | None:
+        """With what is there already, seen as `calibrate cameras` will see it; None where there is nothing."""
         if not self.folder.names:
-            return
+            return None
         found = find_boards(self.folder.out, self._medium, self._board)
-        self._size = found.size
+        views = []
         for view in found.views:
             name = Path(view.name).stem
             if view.left is None or view.right is None:
                 self.folder.set_aside(name, "no board is found in it")
             else:
-                self._views.append(BoardView(name, self._medium, view.left, view.right))
-        self._views = numbered_alike(self._views, self._board)
+                views.append(dataclasses.replace(view, name=name))
+        return Guide(self._board, self._medium, found.size, self._given, views)
 
     # -- frames ------------------------------------------------------------------------------------------------------
 
     def take(self, frame: StereoFrame) -> Look:
         """Judge a frame, and save it if it is good and brings something."""
-        self._require_size(frame)
+        guide = self._guided(frame)
         self._collect()
         left, right = self._pool.map(self._corners, (frame.left, frame.right))
-        look = self._judge(frame, left, right)
+        look = self._judge(guide, frame, left, right)
         dots = {"left": left, "right": right}
-        return Look(look.state, look.words, {side: _dots(one) for side, one in dots.items() if one is not None})
+        return Look(
+            look.state, look.words, {side: _points(one.pixels) for side, one in dots.items() if one is not None}
+        )
 
-    def _judge(self, frame: StereoFrame, left: Corners | None, right: Corners | None) -> Look:
+    def _judge(self, guide: Guide, frame: StereoFrame, left: Corners | None, right: Corners | None) -> Look:
         wrong = amiss((frame.left, left), (frame.right, right), self._board)
         if wrong is not None or left is None or right is None:
             self._steady.forget()
             return Look("bad", "" if wrong is None else wrong.words)
         view = numbered_alike([BoardView(self.folder.next_name(), self._medium, left, right)], self._board)[0]
         still = self._steady.judge(frame, left.pixels)
-        stance = stance_of(self._rig, view, self._board)
+        stance = guide.stance(view)
         if stance is None:
             return Look("bad", "The corners fit no board: check --board (it counts inner corners).")
-        if why := self._useless(view, stance):
+        if why := guide.useless(view, stance):
             return Look("same", why)
         if not still:
             return Look("wait", "Good. Hold the board still …")
-        return self._save(frame, view, stance)
+        self._save(frame, view, stance)
+        guide.add(view)
+        self._changed()
+        return Look("saved", f"Saved: image {len(guide.views)}.")
 
-    def _useless(self, view: BoardView, stance: Stance) -> str:
-        """Why the image would not help; empty where it does."""
-        away = [stance.away(other) for other in self._coverage.stances]
-        if away and min(away) < 1:
-            return f"Like image {int(np.argmin(away)) + 1}, which is saved: move on."
-        if self._coverage.complete:  # and yet the calibration is not good: whatever is different helps
-            return ""
-        more = coverage_of([*self._views, view], self._board, self._rig, self._sure_size)
-        return "" if self._coverage.adds(more, stance) else "Seen well, but nothing that is missing: see what is next."
-
-    def _save(self, frame: StereoFrame, view: BoardView, stance: Stance) -> Look:
+    def _save(self, frame: StereoFrame, view: BoardView, stance: Stance) -> None:
         note = {
             "t_s": frame.t_s,
             "distance_m": round(stance.distance_m, 3),
@@ -131,18 +111,16 @@ class BoardCapture:
             "edge_px": [round(one.edge_px, 2) for one in (view.left, view.right) if one is not None],
         }
         self.folder.save([(encode_png(frame.right), ".png"), (encode_png(frame.left), ".png")], note)
-        self._views.append(view)
-        self._changed()
-        return Look("saved", f"Saved: image {len(self._views)}.")
 
     def undo(self) -> str:
         """Take the last one out again; in words what was done."""
-        if not self._views:
+        if self.guide is None or not self.guide.views:
             return "There is nothing to take out."
-        last = self._views.pop()
-        self.folder.set_aside(last.name, "taken out by hand")
+        last = self.guide.names[-1]
+        self.folder.set_aside(last, "taken out by hand")
+        self.guide.remove([last])
         self._changed()
-        return f"Image {len(self._views) + 1} is taken out."
+        return f"Image {len(self.guide.views) + 1} is taken out."
 
     def keep(self, frame: StereoFrame) -> str:
         return "Board images are saved by themselves when they are good."
@@ -152,166 +130,106 @@ class BoardCapture:
             return None
         return find_corners(image, self._board)
 
-    # -- what there is -----------------------------------------------------------------------------------------------
-
-    @property
-    def _names(self) -> tuple[str, ...]:
-        return tuple(view.name for view in self._views)
-
-    @property
-    def _sure_size(self) -> tuple[int, int]:
-        assert self._size is not None
-        return self._size
-
-    @property
-    def _judged(self) -> Trial | None:
-        """The trial of just these images."""
-        return self._tried[0] if self._tried and self._tried[1] == self._names else None
-
-    @property
-    def enough(self) -> bool:
-        return (
-            self._coverage_or_none is not None and self._coverage.complete and bool(self._judged and self._judged.good)
-        )
-
-    @property
-    def missing(self) -> tuple[str, ...]:
-        if self._coverage_or_none is None:
-            return ("everything: no picture has come",)
-        if self._coverage.missing:
-            return tuple(self._coverage.missing)
-        if self._judged is None:
-            return ("the trial calibration",)
-        return self._judged.doubts
-
-    def _changed(self) -> None:
-        self._refresh()
-        self._try()
-        self._write()
-
-    def _write(self) -> None:
-        self.folder.write({"enough": self.enough, "missing": list(self.missing), "quality": self._quality()})
-
-    def _refresh(self) -> None:
-        """What the images have and what is next, after each change."""
-        self._coverage_or_none: Coverage | None = None
-        if self._size is None:
-            return
-        tried = self._tried[0].rig if self._tried else None
-        guess = guessed_rig(self._views, self._board, self._size, self._medium)
-        self._rig = self._given or tried or guess
-        self._coverage_or_none = coverage_of(self._views, self._board, self._rig, self._size)
-        self._advice: Advice | None = advised(self._coverage, self._rig, self._board, self._medium)
-
-    @property
-    def _coverage(self) -> Coverage:
-        assert self._coverage_or_none is not None
-        return self._coverage_or_none
-
-    def _require_size(self, frame: StereoFrame) -> None:
+    def _guided(self, frame: StereoFrame) -> Guide:
+        """InputError for pictures of another size than the rig's, or than those that are there."""
         size = frame.left.shape[1], frame.left.shape[0]
         if self._given is not None and size != (self._given.left.width, self._given.left.height):
             lens = self._given.left
             what = f"the pictures are {size[0]}x{size[1]}, the rig is for {lens.width}x{lens.height}"
             raise InputError(what, "--rig", "leave it out, or give the rig of this camera")
-        if self._size is None:
-            self._size = size
-            self._refresh()
-        elif size != self._size:
-            before = f"{self._size[0]}x{self._size[1]}"
+        if self.guide is None:
+            self.guide = Guide(self._board, self._medium, size, self._given)
+        elif size != self.guide.size:
+            before = f"{self.guide.size[0]}x{self.guide.size[1]}"
             what = f"the pictures are {size[0]}x{size[1]}, those that are there {before}"
             raise InputError(what, str(self.folder.out), "give a new folder to --out, or the same camera setting")
+        return self.guide
 
     # -- the trial calibration ---------------------------------------------------------------------------------------
 
-    def _try(self) -> None:
-        if len(self._views) < FIRST or self._size is None or self._trying is not None:
+    def _changed(self) -> None:
+        self._try()
+        self._write()
+
+    def _try(self, *, at_end: bool = False) -> None:
+        """In another thread: it takes a second, in which the pictures go on.
+
+        A recorded source waits for the last one.
+        """
+        guide = self.guide
+        if guide is None or not guide.wants_trial or self._trying is not None:
             return
-        views, names = list(self._views), self._names
-        work = self._pool.submit(trial, views, self._board, self._size, self._settings)
-        self._trying = work, names
+        if self._patient and not (guide.coverage.complete or at_end):
+            return
+        work = self._pool.submit(trial, list(guide.views), self._board, guide.size, self._settings)
+        self._trying = work, guide.names
         if self._patient:
-            work.result()
+            work.exception()
             self._collect()
 
     def _collect(self) -> None:
         """The trial that is done; one of other images than these is followed by another."""
-        if self._trying is None:
-            if self._judged is None:
-                self._try()
-            return
-        if not self._trying[0].done():
+        if self.guide is None or self._trying is None or not self._trying[0].done():
             return
         (work, names), self._trying = self._trying, None
-        found = work.result()
-        if found.unfit and len(found.unfit) <= len(names) // 4:
-            for name in set(found.unfit) & set(self._names):
-                self.folder.set_aside(name, "does not fit the others")
-            self._views = [view for view in self._views if view.name not in found.unfit]
-            names = tuple(name for name in names if name not in found.unfit)
-            found = dataclasses.replace(found, unfit=())
-        self._tried = found, names
-        self._refresh()
-        self._write()
-        if names != self._names:
-            self._try()
+        for name in self.guide.take(work.result(), names):
+            self.folder.set_aside(name, "does not fit the others")
+        self._changed()
 
     # -- for the page and for the end --------------------------------------------------------------------------------
 
+    @property
+    def enough(self) -> bool:
+        return self.guide is not None and self.guide.enough
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        return ("everything: no picture has come",) if self.guide is None else self.guide.missing
+
     def status(self) -> Status:
-        if self._coverage_or_none is None:
+        guide = self.guide
+        if guide is None:
             return Status(0, BOARDS, 0.0, "Waiting for the first picture")
-        coverage, advice = self._coverage, self._advice
-        sides = coverage.cells.items()
+        coverage, advice = guide.coverage, None if guide.enough else guide.advice
+        bands = [Wanted(coverage.where(name), coverage.bands[name], EACH_BAND) for name in BANDS]
+        tilts = [Wanted(f"{name} edge", coverage.tilts[name], EACH_TILT) for name in TILTS]
         return Status(
-            count=len(self._views),
+            count=len(guide.views),
             want=BOARDS,
             share=coverage.share,
-            next=self._next(),
-            tilt="" if advice is None or self.enough else advice.tilt or "square",
-            cells={side: _cells(cells, coverage.needed[side]) for side, cells in sides},
-            lists={
-                "Distance": [Wanted(coverage.where(name), coverage.bands[name], EACH_BAND) for name in BANDS],
-                "Tilted towards the camera": [
-                    Wanted(f"{name} edge", coverage.tilts[name], EACH_TILT) for name in TILTS
-                ],
-            },
-            missing=self.missing,
+            next=guide.next,
+            tilt="" if advice is None else advice.tilt or "square",
+            cells={side: _cells(cells, coverage.needed[side]) for side, cells in coverage.cells.items()},
+            lists={"Distance": bands, "Tilted towards the camera": tilts},
+            missing=guide.missing,
             quality=self._quality(),
-            enough=self.enough,
-            outline={} if advice is None or self.enough else {k: _points(q) for k, q in advice.outline_px.items()},
+            enough=guide.enough,
+            outline={} if advice is None else {side: _points(q) for side, q in advice.outline_px.items()},
         )
 
-    def _next(self) -> str:
-        if self.enough:
-            return "Enough: these images make a good calibration."
-        if self._coverage.complete and self._judged is None:
-            return "Trying the calibration …"
-        if self._advice is None:
-            return "Show the board elsewhere, nearer, farther, tilted."
-        return self._advice.words + "."
-
     def _quality(self) -> str:
-        if self._tried is None:
-            return ""
-        found = self._tried[0]
-        if found.rig is None or not found.depth_mm:
-            return "; ".join(found.doubts)
+        found = None if self.guide is None else self.guide.tried
+        if found is None or not found.depth_mm:
+            return "" if found is None else "; ".join(found.doubts)
         _, at_1_m, far = found.depth_mm
         return f"These images alone: depth good to ±{at_1_m[0]:.1f} mm at 1 m, ±{far[0]:.1f} mm at 2.2 m (1 sigma)"
 
+    def _write(self) -> None:
+        self.folder.write({"enough": self.enough, "missing": list(self.missing), "quality": self._quality()})
+
     def finish(self) -> list[str]:
         """Write what was judged; the next step, a line each."""
+        self._try(at_end=True)
         while self._trying is not None:
             self._trying[0].exception()
             self._collect()
         self._pool.shutdown()
         self._write()
-        if not self.enough:
+        if self.guide is None or not self.guide.enough:
             return []
         board = f"--board {self._board.columns}x{self._board.rows} --square {self._board.square_m:g}"
         side = "--water" if self._medium is Medium.WATER else "--air"
-        warp = " --warp" if self._tried and self._tried[0].warp else ""
+        warp = " --warp" if self.guide.tried and self.guide.tried.warp else ""
         return [f"next: leadline calibrate cameras {side} {self.folder.out} {board}{warp} --out rig.yaml"]
 
 
@@ -328,16 +246,18 @@ def _settings(rig: Rig | None) -> CameraSettings:
 
 
 def _there(image: Image, board: Board) -> bool:
-    """A quick look: the detector takes a second to be sure that there is none."""
+    """A quick look, at two sizes: it misses squares of less than 14 pixels. The detector itself takes a second to be
+    sure that there is none."""
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    factor = min(1.0, _QUICK_WIDTH_PX / grey.shape[1])
-    if factor < 1:
-        grey = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
-    return bool(cv2.findChessboardCorners(grey, board.size, flags=_QUICK)[0])
+    width = grey.shape[1]
+    sizes = dict.fromkeys((min(width, _QUICK_WIDTHS_PX[0]), min(2 * width, _QUICK_WIDTHS_PX[1])))
+    return any(_quickly(grey, size / width, board) for size in sizes)
 
 
-def _dots(corners: Corners) -> list[Any]:
-    return np.round(corners.pixels, 1).tolist()  # type: ignore[no-any-return]
+def _quickly(grey: Any, factor: float, board: Board) -> bool:
+    way = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
+    scaled = grey if factor == 1 else cv2.resize(grey, None, fx=factor, fy=factor, interpolation=way)
+    return bool(cv2.findChessboardCorners(scaled, board.size, flags=_QUICK)[0])
 
 
 def _points(pixels: Array) -> list[Any]:

@@ -100,14 +100,14 @@ def _check(out: Path, kind: Mapping[str, Any]) -> None:
     if not path.is_file():
         raise InputError("holds something that is no guided capture", str(out), "give a new folder to --out")
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
-        other = {key: told[key] for key in kind}
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        told = dict(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError) as error:
         raise InputError("cannot be read", str(path), "give a new folder to --out") from error
     for key, value in kind.items():
-        if other[key] != value:
+        if told.get(key) != value:
             fix = "go on with the same, or give a new folder to --out"
-            raise InputError(f"was captured with {key} {_say(other[key])}, this is {_say(value)}", str(out), fix)
+            what = f"was captured with {key} {_say(told.get(key))}, this is {_say(value)}"
+            raise InputError(what.replace("with what ", "of a "), str(out), fix)
 
 
 def _say(value: Any) -> str:

@@ -75,10 +75,10 @@ class TargetCapture:
     what = "target"
 
     def __init__(self, out: Path, model: Path | None, config: Config, *, patient: bool = False) -> None:
-        self._labeller = ModelLabeller(model, config)
+        self.labeller = ModelLabeller(model, config)
         if (out / "labels").is_dir() and (out / CAPTURE).is_file() and _newer(out / "labels", out / CAPTURE):
             raise InputError("labels were changed since the capture", str(out), "capture into a new folder")
-        self.folder = CaptureFolder(out, ("images",), {"what": self.what, "model": self._labeller.provenance})
+        self.folder = CaptureFolder(out, ("images",), {"what": self.what, "model": self.labeller.provenance})
         self._kept: dict[str, Seen] = {}
         self._sharpness: deque[float] = deque(maxlen=2 * NEIGHBOURS + 1)
         self._go_on()
@@ -88,13 +88,13 @@ class TargetCapture:
             note = self.folder.notes.get(name)
             image = read_image(self.folder.files(name)[0])
             frame = StereoFrame(round(float((note or {}).get("t_s", 0)) * NS_PER_S), image, image, name=name)
-            labels = self._labeller.labels(frame) if note is None else _labels_from(note)
+            labels = self.labeller.labels(frame) if note is None else _labels_from(note)
             self._kept[name] = _seen(len(self._kept), frame, labels)
 
     # -- frames ------------------------------------------------------------------------------------------------------
 
     def take(self, frame: StereoFrame) -> Look:
-        labels = self._labeller.labels(frame)
+        labels = self.labeller.labels(frame)
         seen = _seen(len(self._kept), frame, labels)
         state, words = self._judge(seen)
         self._sharpness.append(seen.weighed.sharpness)
@@ -129,7 +129,7 @@ class TargetCapture:
         return f"Saved: picture {len(self._kept)}."
 
     def keep(self, frame: StereoFrame) -> str:
-        return self._save(frame, _seen(len(self._kept), frame, self._labeller.labels(frame)))
+        return self._save(frame, _seen(len(self._kept), frame, self.labeller.labels(frame)))
 
     def undo(self) -> str:
         if not self._kept:
@@ -230,8 +230,8 @@ class TargetCapture:
         with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as beside:
             made = Path(beside)
             (made / "images").symlink_to((out / "images").resolve())
-            write_set(made, items, self._labeller.names, self._labeller.provenance)
-            write_preview(made, items, self._labeller.provenance)
+            write_set(made, items, self.labeller.names, self.labeller.provenance)
+            write_preview(made, items, self.labeller.provenance)
             (made / "images").unlink()
             for part in sorted(made.iterdir()):
                 _replace(part, out / part.name)
