@@ -53,7 +53,7 @@ def test_simulated_pictures_with_distractors_that_it_has_not_seen() -> None:
         pictures[str(k)] = (image, [(x - 0.5, y - 0.5, w, h) for x, y, w, h in boxes])
     found = quality(pictures)
     assert found.truths > 50
-    assert found.ap50 > 0.7
+    assert found.ap50 > 0.75
 
 
 def test_grey_and_colour_shapes_and_empty_water(detector: Detector) -> None:
@@ -97,16 +97,17 @@ def test_average_precision_on_the_rendered_dives(data_dir: Path) -> None:
     }
     found = quality(pictures)
     assert found.images == 84
-    assert found.ap50 >= 0.97
+    assert found.ap50 >= 0.99
     assert found.at_score(0.3)[1] >= 0.98
 
 
 @pytest.mark.data
 @pytest.mark.parametrize(
-    ("complete", "least_ap50", "least_ap50_95"), [(False, 0.9, 0.59), (True, 0.97, 0.66)], ids=["all", "complete"]
+    ("complete", "least_ap50", "least_ap50_95"), [(False, 0.959, 0.656), (True, 0.99, 0.69)], ids=["all", "complete"]
 )
 def test_real_clips_kept_apart(data_dir: Path, complete: bool, least_ap50: float, least_ap50_95: float) -> None:
-    """The clips that the training keeps apart; ``complete``: those images where a look found every buoy labelled."""
+    """The clips that the training keeps apart; ``complete``: those images where a look found every buoy labelled. The
+    bars on all of them are what YOLOv8n reaches there by the paper's recipe, from the same photographs."""
     every = read_dataset(data_dir / "robosub_buoys", classes="ball=buoy_*").examples
     _, held = split_by_numbers(every, CLIPS["held_out"])
     unlabelled = set(CLIPS["held_out_with_unlabelled_buoys"])

