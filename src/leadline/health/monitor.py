@@ -52,6 +52,8 @@ class Health:
         self._standings: dict[Part, _Standing] = {}
         self._paces: dict[Part, Pace] = {}
         self._lags: dict[str, Lag] = {}
+        self._clock: Verdict = None  # what they say of it
+        self._clock_known = True  # and nothing has been added to them since
         self._own_lags = {part: Lag() for part in CAMERAS}
         self._taken_ns: dict[Part, int] = {}  # each camera's last picture
         self._pictures = {part: Pictures() for part in CAMERAS}
@@ -76,7 +78,7 @@ class Health:
             self.tick(now_ns)
             return
         if isinstance(sample, StereoFrame):
-            self._lags.setdefault("camera", Lag()).add(arrival_ns, sample.t_ns)
+            self._stamp("camera", arrival_ns, sample.t_ns)
             self._look(Part.LEFT, sample.left, sample.left_t_ns, sample)
             self._look(Part.RIGHT, sample.right, sample.right_t_ns, sample)
             self._scene.look(sample.t_ns, sample.left)
@@ -120,13 +122,13 @@ class Health:
         """The detector, the disk or an output was given something to do, and has not done it yet."""
         self._join(part)
         self._work[part].asked(asked_ns)
-        self._judge(asked_ns if now_ns is None else now_ns, ())
+        self._judge(asked_ns if now_ns is None else now_ns, (), only=part)
 
     def done(self, part: Part, now_ns: int, took_s: float, fault: Verdict = None, lag_s: float = 0.0) -> None:
         """It is done. fault: what was wrong with it (an error: off); lag_s: the age of what it answers."""
         self._join(part)
         self._work[part].done(took_s, fault, lag_s)
-        self._judge(now_ns, (part,))
+        self._judge(now_ns, (part,), only=part)
 
     def reported(self, part: Part, state: State, why: str, now_ns: int) -> None:
         """Somebody knows: a port that is gone, a full disk. ``State.OK`` takes it back."""
@@ -140,7 +142,7 @@ class Health:
     def wall_clock(self, wall_ns: int, now_ns: int) -> None:
         """The computer's own clock against one that cannot be set (now_ns), about ten times a second."""
         self._join(Part.CLOCK)
-        self._lags.setdefault("wall", Lag()).add(now_ns, wall_ns)
+        self._stamp("wall", now_ns, wall_ns)
 
     def tick(self, now_ns: int) -> None:
         """Time passes and nothing has come."""
@@ -190,33 +192,44 @@ class Health:
         self._pictures[part].look(image)
 
     def _timing(self, name: str, parts: Sequence[Part], arrival_ns: int, t_ns: int) -> None:
-        self._lags.setdefault(name, Lag()).add(arrival_ns, t_ns)
+        self._stamp(name, arrival_ns, t_ns)
         for part in parts:
             self._join(part)
             self._paces[part].arrive(arrival_ns, t_ns)
 
-    def _judge(self, now_ns: int, heard: Sequence[Part]) -> None:
-        """Look at all parts again: the silence of one is seen when another is heard."""
+    def _stamp(self, name: str, arrival_ns: int, t_ns: int) -> None:
+        self._lags.setdefault(name, Lag()).add(arrival_ns, t_ns)
+        self._clock_known = False
+
+    def _judge(self, now_ns: int, heard: Sequence[Part], only: Part | None = None) -> None:
+        """Look at all parts again, as the silence of one is seen when another is heard; ``only``: at this one."""
         now_ns = self._now_ns = max(self._now_ns or now_ns, now_ns)
-        clock = self._clock()
+        if not self._clock_known:
+            self._clock, self._clock_known = self._judge_clock(), True
         changed = False
-        for part, standing in self._standings.items():
-            verdict = clock if part is Part.CLOCK else self._verdict(part, clock, now_ns)
-            fresh = part in heard or (part is Part.CLOCK and bool(heard))
-            if standing.judge(verdict, now_ns, fresh=fresh):
-                changed = True
-                self.events.append(standing.condition)
-                if not standing.condition.ok:
-                    self._flags[part, standing.condition.state] += 1
+        for part in self._standings if only is None else (only,):
+            changed |= self._judge_part(part, now_ns, fresh=part in heard or (part is Part.CLOCK and bool(heard)))
         if changed or len(self.conditions) != len(self._standings):
             self._publish()
 
-    def _verdict(self, part: Part, clock: Verdict, now_ns: int) -> Verdict:
+    def _judge_part(self, part: Part, now_ns: int, *, fresh: bool) -> bool:
+        """Whether its state has changed."""
+        standing = self._standings[part]
+        if not standing.judge(self._verdict(part, now_ns), now_ns, fresh=fresh):
+            return False
+        self.events.append(standing.condition)
+        if not standing.condition.ok:
+            self._flags[part, standing.condition.state] += 1
+        return True
+
+    def _verdict(self, part: Part, now_ns: int) -> Verdict:
+        if part is Part.CLOCK:
+            return self._clock
         if part in self._reported:
             return self._reported[part]
         if part in WORKERS:
             return self._work[part].verdict(now_ns)
-        late = None if clock is not None else self._lag(part).late()
+        late = None if self._clock is not None else self._lag(part).late()
         return (
             self._paces[part].verdict(now_ns)
             or self._content(part)
@@ -238,7 +251,7 @@ class Health:
     def _lag(self, part: Part) -> Lag:
         return self._own_lags[part] if part in CAMERAS else self._lags.setdefault("laser", Lag())
 
-    def _clock(self) -> Verdict:
+    def _judge_clock(self) -> Verdict:
         """Stamps that cannot be: of one sensor, or all late alike, which is no delay of theirs."""
         for name, lag in self._lags.items():
             seen = lag.impossible()
