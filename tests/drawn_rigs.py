@@ -19,7 +19,7 @@ from leadline.evaluation.plan_sight import Conditions, box_of, expected_points
 from leadline.localizer import Localizer
 from leadline.localizer.sight import Found, Sight
 from leadline.ranging.outline import SIDES, OutlineRanger, _Edges
-from leadline.ranging.shape_fit import Points, fit
+from leadline.ranging.shape_fit import fit
 from leadline.rig import Rig
 from leadline.rig_parameters import get, replaced
 from leadline.samples import NS_PER_S, Array, Detection, Kind, LaserRange, Measurement, StereoFrame
@@ -89,15 +89,16 @@ class Approach:
         lengths = BALL.beam_length(x, origins, directions)[0]
         at_px = self.true.project_one(origins + lengths[:, None] * directions, "right")
         farther_px = self.true.project_one(origins + 1.001 * lengths[:, None] * directions, "right")
-        per_m = np.linalg.norm(farther_px - at_px, axis=1) / (0.001 * lengths)
         along = (at_px - farther_px) / np.linalg.norm(farther_px - at_px, axis=1)[:, None]
-        error_px = planned.sigma_m * per_m * self._rng.standard_normal(len(lengths)) + self._bias_px
         good = np.asarray(np.isfinite(at_px).all(axis=1))
-        p_m, _ = self.believed.triangulate(left_px[good], (at_px + error_px[:, None] * along)[good])
+        p_m, _ = self.believed.triangulate(left_px[good], (at_px + self._bias_px * along)[good])
         seen = planned.pick(good)
         length = np.einsum("ni,ni->n", p_m - seen.origins_m, seen.directions)
-        held = fit(BALL, Points(seen.origins_m, seen.directions, length, seen.sigma_m), x, 0.0)
-        return None if held is None else _place(Kind.STEREO, t_ns, held.x, held.cov)
+        held = fit(BALL, dataclasses.replace(seen, length_m=length), x, 0.0)
+        if held is None:
+            return None
+        noise = np.linalg.cholesky(held.cov) @ self._rng.standard_normal(3)  # as stated, for all that patches share
+        return _place(Kind.STEREO, t_ns, held.x + noise, held.cov)
 
     def _size(self, t_ns: int, x: Array) -> Measurement | None:
         ranger, edges = OutlineRanger(BALL, CONFIG.outline), []

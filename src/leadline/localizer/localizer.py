@@ -23,7 +23,7 @@ from leadline.localizer.blind import held
 from leadline.localizer.expected import expected
 from leadline.localizer.laser import LaserSight
 from leadline.localizer.motion import as_of_target, skew_of, taken_ns
-from leadline.localizer.sight import VISION, Sight
+from leadline.localizer.sight import VISION, Counted, Sight
 from leadline.localizer.witnesses import Witnesses
 from leadline.recognition.finder import Finder
 from leadline.recognition.track import Box, Track
@@ -79,6 +79,7 @@ class Localizer:
         self._strange: frozenset[Kind] = frozenset()  # kinds of the last frame that disagreed
         self._motion: VehicleMotion | None = None
         self._last_seen: Estimate | None = None
+        self._counted = Counted()
         self._last_frame: StereoFrame | None = None
         self._newest_reading_ns, self._lag_ns = 0, 0  # how much later than readings the cameras' pictures come
         self._last_used: dict[Kind, int] = {}
@@ -119,7 +120,7 @@ class Localizer:
         used, turned_away = self._add(t_ns, measurements, before)
         self._hear(t_ns, measurements, now_ns, believed)
         self._compare(measurements, used)
-        self._look_back(t_ns, used)
+        self._look_back(before, [one for one in _positions(measurements) if one.kind in used], t_ns)
         return self._solution(frame.t_ns, used, rejected + turned_away)
 
     def _fresh(self, frame: StereoFrame) -> StereoFrame:
@@ -258,10 +259,11 @@ class Localizer:
         unseen = self._laser.aside(before)
         return [self._laser.blindly(one, unseen) for one in measurements]
 
-    def _look_back(self, t_ns: int, used: Sequence[Kind]) -> None:
+    def _look_back(self, before: Estimate | None, seen: Sequence[Measurement], t_ns: int) -> None:
         """Whether the target was seen where it was believed to be."""
-        if VISION & set(used):
+        if seen:
             self._last_seen = self._filter.at(t_ns)
+            self._counted.take(seen, self._sight.calibration.at(self._last_seen.x[:3]), before, self._last_seen)
             self._track.confirm(t_ns)
 
     def _blind(self, t_ns: int) -> bool:
@@ -272,7 +274,7 @@ class Localizer:
     def _forget(self) -> None:
         self._filter.stop()
         self._last_used.clear()
-        self._last_seen = None
+        self._last_seen, self._counted = None, Counted()
         self._track.forget()
         self._strange = frozenset()
         self._witnesses.forget()
@@ -314,7 +316,7 @@ class Localizer:
             self._witnesses.forget()
             return Solution(t_ns, Stage.SEARCHING, Status.LOST, used=tuple(used), rejected=turned_away)
         estimate = self._filter.at(t_ns)
-        cov = estimate.cov + self._systematic(estimate)
+        cov = self._counted.without(estimate) + self._systematic(estimate)
         distance, sigma_m = range_with_sigma(self._target, estimate.x, cov)
         status, quiet_s = self._config.status, (t_ns - max(self._last_used.values())) / NS_PER_S
         waiting = self._unconfirmed_s is not None and self._unconfirmed_s < status.alone_s

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +25,41 @@ FAR_SINE = 0.005  # of half the angle that a ball is seen under: smaller ones ar
 VISION = frozenset({Kind.STEREO, Kind.SIZE})
 BOTH = frozenset({"left", "right"})
 Found = list[Measurement | Rejected]
+
+
+class Counted:
+    """What a filter's covariance holds of the calibration's error, which is in every measurement of vision.
+
+    The filter takes it for noise of each frame, though it is that of all: of its variance c along a direction, k^2 c is
+    in the estimate by a frame that is taken with the gain k. Whoever adds the calibration for good takes this out.
+    """
+
+    def __init__(self) -> None:
+        self._share = self._variance = np.zeros(2)
+
+    def take(self, found: Sequence[Measurement], calibration: Array, before: Estimate | None, after: Estimate) -> None:
+        """Those that were used of a frame, and the estimate before and after."""
+        p_m2 = along_and_across(after.x, after.cov)
+        told = sum((1 / along_and_across(after.x, one.cov) for one in found), np.zeros(2))
+        learnt = 1 / p_m2 if before is None else 1 / p_m2 - 1 / along_and_across(after.x, before.cov)
+        gain = np.clip(p_m2 * np.minimum(told, learnt), 0.0, 1.0)
+        self._variance = gain**2 * along_and_across(after.x, calibration)
+        self._share = np.minimum(self._variance / p_m2, 1.0)
+
+    def without(self, estimate: Estimate) -> Array:
+        """The estimate's covariance (3 + k, 3 + k) without it; the share only falls as the estimate is predicted."""
+        share = np.minimum(self._share, self._variance / along_and_across(estimate.x, estimate.cov))
+        kept = np.sqrt(1 - share)
+        sight = estimate.x[:3] / np.linalg.norm(estimate.x[:3])
+        shrunk = np.eye(len(estimate.x))
+        shrunk[:3, :3] = kept[1] * np.eye(3) + (kept[0] - kept[1]) * np.outer(sight, sight)
+        return np.asarray(shrunk @ estimate.cov @ shrunk)
+
+
+def along_and_across(x: Array, cov: Array) -> Array:
+    """(2,) variance of a position along the line of sight, and across it on average."""
+    along = float(x[:3] @ cov[:3, :3] @ x[:3] / (x[:3] @ x[:3]))
+    return np.array([along, (np.trace(cov[:3, :3]) - along) / 2])
 
 
 class Sight:
