@@ -28,7 +28,7 @@ class SmoothingLocalizer(Localizer):
         if solution is not None:
             common = None
             if solution.cov_m2 is not None:
-                common = solution.cov_m2 - self._filter.at(solution.t_ns).cov[:3, :3]
+                common = solution.cov_m2 - self._counted.without(self._filter.at(solution.t_ns))[:3, :3]
             self._told.append((solution, common))
         return solution
 
