@@ -105,8 +105,9 @@ def painted_dive(rig: Rig, z_m: Sequence[float], seed: int = 0) -> Iterator[Samp
 def _wall(rig: Rig, q_px: Array, radius_px: float, rng: np.random.Generator) -> Image:
     image = np.full((rig.left.height, rig.left.width, 3), 120, np.uint8)
     cv2.rectangle(image, (500, 200), (1400, 900), (170, 180, 170), -1)
-    u, v = (round(float(x) * 16) for x in q_px)
-    cv2.circle(image, (u, v), round(16 * radius_px), (170, 250, 150), -1, cv2.LINE_AA, 4)
+    u, v = np.meshgrid(np.arange(rig.left.width) - q_px[0], np.arange(rig.left.height) - q_px[1], sparse=True)
+    light = np.exp(-2 * (u / radius_px) ** 2) * np.exp(-2 * (v / radius_px) ** 2)  # a laser's: no edge, cut off on top
+    image = np.minimum(image + 200 * light[..., None] * [0.1, 1.0, 0.05], 255)
     noise = rng.normal(size=(rig.left.height // 4, rig.left.width // 4, 1)) * 6
     noisy = image + cv2.resize(noise, (rig.left.width, rig.left.height))[..., None]
     return np.clip(noisy, 0, 255).astype(np.uint8)

@@ -73,8 +73,9 @@ def shoot(rig: Rig, look: Look, rng: np.random.Generator) -> Shot:
     x = spot - 0.17 * normal if look.ball else (spot @ normal) * normal
     corner = np.maximum(np.round(whole_px).astype(int) - HALF_PX, 0)
     size = np.minimum(np.array([rig.left.width, rig.left.height]) - corner, 2 * HALF_PX + 1)
-    low = np.maximum(np.round(whole_px).astype(int) - LIT_PX, corner)
-    lit = np.minimum(2 * LIT_PX + 1, corner + size - low)
+    reach = min(LIT_PX, 10 + int(9 * SIGMA_M * rig.focal_outside_px / length))
+    low = np.maximum(np.round(whole_px).astype(int) - reach, corner)
+    lit = np.minimum(2 * reach + 1, corner + size - low)
     light = np.zeros((size[1], size[0]))
     at = np.s_[low[1] - corner[1] : low[1] - corner[1] + lit[1], low[0] - corner[0] : low[0] - corner[0] + lit[0]]
     light[at] = _spot_light(rig, side, low, lit, x if look.ball else None, spot, normal)

@@ -142,11 +142,11 @@ def test_the_table_of_the_beam_is_exact(side: Side) -> None:
         lengths = 1 / np.linspace(1 / 8.9, 1 / 0.101, 500)
         exact = rig.project(LASER.origin_m + lengths[:, None] * LASER.direction)[side == "right"]
         assert image.at(lengths) == pytest.approx(exact, abs=1e-3)
-        q_px, along, sideways = image.near(0.7)
+        *q_px, along_u, along_v = image.near(0.7)
         _, jacobian = rig.project_with_jacobian((LASER.origin_m + 0.7 * LASER.direction)[None], camera=side)
-        assert along == pytest.approx(jacobian[0] @ LASER.direction, rel=1e-3)
-        assert sideways == pytest.approx(jacobian[0] @ image.across.T, rel=0.02, abs=10)
-        assert image.closest(q_px) == pytest.approx(0.7, rel=0.05)
+        assert (along_u, along_v) == pytest.approx(jacobian[0] @ LASER.direction, rel=1e-3)
+        assert np.array(image.sideways(0.7)) == pytest.approx(jacobian[0] @ image.across.T, rel=0.02, abs=10)
+        assert image.closest(np.array(q_px)) == pytest.approx(0.7, rel=0.05)
 
 
 def test_an_uncertain_rig_gives_an_uncertain_length() -> None:
@@ -162,6 +162,30 @@ def test_an_uncertain_rig_gives_an_uncertain_length() -> None:
         off.append((found[0] - 1.0) ** 2 / found[1])
     for factor in (0.5, 1.0, 2.0):  # the mean of 300 is 1 +- 0.08
         assert (0.75 < np.mean(off) / factor < 1.3) == (factor == 1.0), np.mean(off)
+
+
+@pytest.mark.parametrize("rig_sigma", [0.0, 1e-3])
+def test_both_images_and_the_beam_tell_each_spots_place(rig_sigma: float) -> None:
+    """Better than either image alone; off the beam's image only as far as the rig may be wrong; honest."""
+    names = tuple(f"laser.direction[{i}]" for i in range(3)) if rig_sigma else ()
+    rig = dataclasses.replace(RIG, covariance=RigCovariance(names, rig_sigma**2 * np.eye(len(names))))
+    ranger, rng = BeamRanger(rig, Sphere(0.34)), np.random.default_rng(4)
+    before, after, nees = [], [], []
+    for _ in range(200):
+        direction = LASER.direction + rng.normal(0, 1, 3) * rig_sigma
+        true_px = RIG.project((LASER.origin_m + 1.3 * direction / np.linalg.norm(direction))[None])
+        seen = {side: (true_px[i][0] + rng.normal(0, 0.2, 2), 0.04 * np.eye(2)) for i, side in enumerate(SIDES)}
+        centres = ranger.centres(seen)
+        assert centres is not None
+        for i, side in enumerate(SIDES):
+            q_px, cov_px2 = centres[side]
+            before.append(seen[side][0] - true_px[i][0])
+            after.append(q_px - true_px[i][0])
+            nees.append(float(after[-1] @ np.linalg.solve(cov_px2 + 1e-8 * np.eye(2), after[-1])))
+    gain = np.mean(np.square(after)) / np.mean(np.square(before))
+    assert gain < (0.3 if rig_sigma == 0 else 0.8)
+    freedom = 1 if rig_sigma == 0 else 2  # on the beam's image it has one
+    assert 0.75 * freedom < np.mean(nees) < 1.25 * freedom
 
 
 def test_a_rig_without_a_laser_has_no_beam() -> None:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from leadline.calibration.matches import find_matches
 from leadline.errors import InputError
-from leadline.recognition.spot import Spot, centre_spot, greenness
+from leadline.recognition.spot import Spot
+from leadline.recognition.spot_fit import SATURATED, SpotFit, fit_spot
 from leadline.rig import Rig
 from leadline.samples import NS_PER_S, Array, Image, LaserRange, Sample, StereoFrame
 
@@ -25,7 +26,10 @@ STATIC_S = 2.0
 _BLOBS = 6  # of each image
 _RADII_PX = (2.0, 2.8)  # at each level of the pyramid
 _LEVELS = 4
-_SATURATED, _CORE_PX = 250, 25
+_CORE_PX = 25
+_SIGMA = 0.6  # of a blob's radius: the light's
+_SIZES, _ROUND = (0.2, 5.0), 0.3  # of a spot, against its blob
+_CENTRE_PX = 0.1  # what a board's squares around a spot may do to its centre
 _ON_BEAM_M, _ON_BEAM = 0.002, 0.004  # off the line, and of the depth: what a poor calibration leaves
 _RANGE_OFF_M = 0.03
 _STANDS_OUT = 1.2  # over the next best of its image: corners of a board that moves straight also lie on lines
@@ -102,13 +106,22 @@ def _mean(ranges_m: Array) -> tuple[float, int, float]:
 
 def spot_candidates(image: Image) -> tuple[Spot, ...]:
     """Compact places of an image that are greener than their surroundings; (H, W, 3) BGR, or grey: brighter."""
-    measure = greenness(image) if image.ndim == 2 else _glow(image)
     found: list[Spot] = []
-    for at_px, radius_px, snr in _blobs(measure):
-        centred = centre_spot(measure, at_px, radius_px)
-        if centred is not None and all(np.linalg.norm(centred[0] - s.q_px) > 2 for s in found):
-            found.append(Spot(centred[0], centred[1], snr))
+    for at_px, radius_px, snr in _blobs(image.astype(np.float32) if image.ndim == 2 else _glow(image)):
+        fit = _centred(image, at_px, radius_px)
+        if fit is not None and all(np.linalg.norm(fit.q_px - s.q_px) > 2 for s in found):
+            found.append(Spot(fit.q_px, fit.cov_px2 + _CENTRE_PX**2 * np.eye(2), snr))
     return tuple(found)
+
+
+def _centred(image: Image, at_px: Array, radius_px: float) -> SpotFit | None:
+    """First with the blob's size, then with its own; None where what is there is no spot."""
+    first = fit_spot(image, at_px, (_SIGMA * radius_px) ** 2 * np.eye(2), alike=False)
+    if first is None or np.linalg.norm(first.q_px - at_px) > 2 * radius_px + 3:
+        return None
+    if not (_SIZES[0] < first.size < _SIZES[1] and first.roundness > _ROUND):
+        return first
+    return fit_spot(image, first.q_px, first.shape_px2, alike=False) or first
 
 
 def _glow(image: Image) -> Array:
@@ -119,7 +132,7 @@ def _glow(image: Image) -> Array:
     blue, green, red = (image[..., i].astype(np.float32) for i in range(3))
     excess = green - 0.5 * (blue + red)
     around = cv2.dilate(cv2.blur(excess, (3, 3)), np.ones((_CORE_PX, _CORE_PX), np.uint8))
-    return np.asarray(np.where(green >= _SATURATED, around, excess))
+    return np.asarray(np.where(green >= SATURATED, around, excess))
 
 
 def _blobs(measure: Array) -> list[tuple[Array, float, float]]:

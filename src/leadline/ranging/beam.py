@@ -101,25 +101,28 @@ class BeamRanger:
     def _seek(self, side: Side, footprint: _Footprint, nearest_m: float, farthest_m: float) -> Sought:
         image = self._images[side]
         shape_px2, facing_px, bend_px = footprint.in_image(image)
-        step_px = max(0.7, 0.5 * float(shape_px2.diagonal().min()) ** 0.5)
-        travel_px = hypot(*(image.near(farthest_m)[0] - image.near(nearest_m)[0]).tolist())
+        step_px = max(0.7, 0.5 * float(min(shape_px2[0, 0], shape_px2[1, 1])) ** 0.5)
+        (x0, y0, _, _), (x1, y1, _, _) = image.near(nearest_m), image.near(farthest_m)
+        travel_px = hypot(x1 - x0, y1 - y0)
         travel_px = travel_px if isfinite(travel_px) else 3000.0  # an end that is unseen
-        inverse = np.linspace(1 / nearest_m, 1 / farthest_m, min(int(travel_px / step_px), 3000) + 4)
-        return Sought(image.at(1 / inverse), shape_px2, facing_px, bend_px, image.near(footprint.length_m)[1])
+        count = min(int(travel_px / step_px), 3000) + 4
+        apart = (1 / farthest_m - 1 / nearest_m) / (count - 1)
+        curve_px = image.at(1 / (1 / nearest_m + apart * np.arange(count)))
+        return Sought(curve_px, shape_px2, facing_px, bend_px, np.array(image.near(footprint.length_m)[2:]))
 
     def _footprint(self, x: Array) -> _Footprint | None:
         """Lengths of six parallel rays through the spot: its slant and curvature."""
         radius = self._config.spot_radius_m
-        lengths, _ = self._target.beam_length(x, *self._parallel)
-        if not np.isfinite(lengths[0]):
+        lengths: list[float] = self._target.beam_length(x, *self._parallel)[0].tolist()
+        if not isfinite(lengths[0]):
             return None
-        if not np.isfinite(lengths).all():  # at the limb
-            return _Footprint(float(lengths[0]), np.zeros(2), np.zeros((2, 2)), radius / 2)
-        d = (lengths - lengths[0]) / radius
-        slope = np.array([d[1] - d[2], d[3] - d[4]]) / 2
-        pure = np.array([d[1] + d[2], d[3] + d[4]]) / radius
-        mixed = (d[5] - slope.sum()) / radius - pure.sum() / 2
-        return _Footprint(float(lengths[0]), slope, np.array([[pure[0], mixed], [mixed, pure[1]]]), radius / 2)
+        if not all(isfinite(length) for length in lengths):  # at the limb
+            return _Footprint(lengths[0], (0.0, 0.0), (0.0, 0.0, 0.0), radius / 2)
+        a, minus_a, b, minus_b, both = ((length - lengths[0]) / radius for length in lengths[1:])
+        slope = (a - minus_a) / 2, (b - minus_b) / 2
+        pure = (a + minus_a) / radius, (b + minus_b) / radius
+        mixed = (both - sum(slope)) / radius - sum(pure) / 2
+        return _Footprint(lengths[0], slope, (pure[0], mixed, pure[1]), radius / 2)
 
     def spot(self, t_ns: int, seen: Seen) -> Measurement | Rejected:
         """The beam's length, maximum likelihood along the beam's image in both cameras, the rig's errors considered.
@@ -137,59 +140,105 @@ class BeamRanger:
 
     def solve(self, seen: Seen) -> tuple[float, float, float, int] | None:
         """Length (m), its variance, chi-square of the misfit and its degrees of freedom; None where nothing is seen."""
+        fit = self._fit(seen)
+        return None if fit is None else (fit.length_m, 1 / fit.information, fit.chi2, len(fit.off) - 1)
+
+    def centres(self, seen: Seen) -> dict[Side, tuple[Array, Array]] | None:
+        """The beam's middle in each image that shows it, by all of them and by the beam's own image: q_px (2,) and its
+        covariance (2, 2) px^2. Off the beam's image only as far as the rig is uncertain; None as in ``solve``."""
+        fit = self._fit(seen)
+        if fit is None:
+            return None
+        told = fit.rig_px2 @ fit.weight  # how much of what lies off the beam's image is the rig's error
+        q_px = fit.on_px + told @ fit.off
+        open_px = fit.slope - told @ fit.slope
+        cov = fit.rig_px2 - told @ fit.rig_px2 + np.outer(open_px, open_px) / fit.information
         sides = [side for side in SIDES if side in seen]
-        length = self._images[sides[0]].closest(seen[sides[0]][0])
+        return {side: (q_px[i : i + 2], cov[i : i + 2, i : i + 2]) for i, side in zip((0, 2), sides, strict=False)}
+
+    def _fit(self, seen: Seen) -> _OnBeam | None:
+        sides = [side for side in SIDES if side in seen]
+        images = [self._images[side] for side in sides]
+        length = images[0].closest(seen[sides[0]][0])
         if not isfinite(length):
             return None
-        weight = np.asarray(cv2.invert(self._pixel_cov(sides, seen, length))[1], np.float64)
+        rig_px2 = self._rig_px2(sides, length)
+        cov = rig_px2.copy()
+        for i, side in enumerate(sides):
+            cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += seen[side][1]
+        weight = np.asarray(cv2.invert(cov)[1], np.float64)
         q_px = np.concatenate([seen[side][0] for side in sides])
-        information, chi2 = 0.0, 0.0
         for _ in range(4):
-            at = [self._images[side].near(length) for side in sides]
-            slope = np.concatenate([a[1] for a in at])
-            off = q_px - np.concatenate([a[0] for a in at])
+            at = [image.near(length) for image in images]
+            on_px, slope = np.array([a[:2] for a in at]).ravel(), np.array([a[2:] for a in at]).ravel()
+            off = q_px - on_px
             weighted = weight @ slope
-            information, chi2 = float(slope @ weighted), float(off @ weight @ off)
+            information = float(slope @ weighted)
             if not information > 0:
                 return None
             step = min(max(float(off @ weighted) / information, -0.3 * length), 0.3 * length)
             length += step
             if abs(step) < 1e-7:
                 break
-        return length, 1 / information, chi2, 2 * len(sides) - 1
+        return _OnBeam(length, information, on_px, slope, off, weight, rig_px2)
 
-    def _pixel_cov(self, sides: list[Side], seen: Seen, length_m: float) -> Array:
-        """Of all seen pixels together: their own noise, and the rig's errors, which are common to both."""
-        cov = np.zeros((4, 4))
-        for i, side in enumerate(SIDES):
-            if side in seen:
-                cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = seen[side][1]
-        if not self._calibration.exact:
-            cov += self._calibration.at(length_m)
+    def _rig_px2(self, sides: list[Side], length_m: float) -> Array:
+        """Of all seen pixels together: the rig's errors, which are common to both images."""
         first, last = 2 * SIDES.index(sides[0]), 2 * SIDES.index(sides[-1]) + 2
-        return cov[first:last, first:last]
+        whole = np.zeros((4, 4)) if self._calibration.exact else self._calibration.at(length_m)
+        return whole[first:last, first:last]
+
+
+@dataclass(frozen=True, slots=True)
+class _OnBeam:
+    """The place on the beam's image nearest to what is seen; n is 2 for each image."""
+
+    length_m: float
+    information: float
+    on_px: Array  # (n,)
+    slope: Array  # (n,) d(on)/d(length)
+    off: Array  # (n,) seen less on
+    weight: Array  # (n, n)
+    rig_px2: Array  # (n, n)
+
+    @property
+    def chi2(self) -> float:
+        return float(self.off @ self.weight @ self.off)
 
 
 @dataclass(frozen=True, slots=True)
 class _Footprint:
-    """The lit surface: length(a) = length_m + slope . a + a . bend . a / 2 for an offset a (2,), m, across the beam."""
+    """The lit surface: length(a) = length_m + slope . a + a . bend . a / 2 for an offset a (2,), m, across the beam.
+
+    In plain numbers: for matrices as small as these the library's calls would cost more than all else.
+    """
 
     length_m: float
-    slope: Array
-    bend: Array
+    slope: tuple[float, float]
+    bend: tuple[float, float, float]  # of a0 a0, a0 a1, a1 a1
     sigma_m: float  # of the light across the beam
 
     def in_image(self, image: BeamImage) -> tuple[Array, Array, Array]:
         """Of an image: shape (2, 2) px^2 of the light, and the two parts of its lean (2,) px: docs/recognition.md."""
-        _, along, sideways = image.near(self.length_m)
-        first = sideways + along[:, None] * self.slope
-        shape = self.sigma_m**2 * first @ first.T + BLUR_PX**2 * np.eye(2)
-        # Second order, q(a) = q0 + first a + half(a, a) / 2: the surface's bend; perspective, where depth shrinks.
-        deeper = (image.deeper[:2] + image.deeper[2] * self.slope) / image.depth_m(self.length_m)
-        half = along[:, None, None] * self.bend
-        half -= first[:, :, None] * deeper + first[:, None, :] * deeper[:, None]
-        back = np.asarray(cv2.solve(first, half.reshape(2, 4))[1], np.float64).reshape(2, 2, 2)
-        facing = -self.bend @ self.slope / (1 + self.slope @ self.slope)
-        turn, swell = back[0, 0] + back[1, 1], back[:, 0, 0] + back[:, 1, 1]
-        to_px = self.sigma_m**2 * first
-        return shape, to_px @ facing, to_px @ (turn / 2 + swell / 4)
+        (s, t), (b00, b01, b11), variance = self.slope, self.bend, self.sigma_m**2
+        _, _, u, v = image.near(self.length_m)
+        (u0, u1), (v0, v1) = image.sideways(self.length_m)
+        u0, u1, v0, v1 = u0 + u * s, u1 + u * t, v0 + v * s, v1 + v * t  # J: d(pixel)/d(offset) on the surface
+        xx, xy, yy = u0 * u0 + u1 * u1, u0 * v0 + u1 * v1, v0 * v0 + v1 * v1
+        shape = variance * np.array([[xx, xy], [xy, yy]])
+        shape.ravel()[::3] += BLUR_PX**2
+        slant = 1 + s * s + t * t
+        facing = -(b00 * s + b01 * t) / slant, -(b01 * s + b11 * t) / slant
+        # Second order, q(a) = q0 + J a + H(a, a) / 2: the surface's bend; perspective, where depth shrinks. In J's own
+        # coordinates K_lab = w_l bend_ab - (d_la deeper_b + d_lb deeper_a), of which the two traces are wanted.
+        across, depth = image.deeper, image.depth_m(self.length_m)
+        deeper = (across[0] + across[2] * s) / depth, (across[1] + across[2] * t) / depth
+        flat = u0 * v1 - u1 * v0
+        w0, w1 = (v1 * u - u1 * v) / flat, (u0 * v - v0 * u) / flat
+        trace = (b00 + b11) / 4
+        lean = [
+            (w0 * b00 + w1 * b01) / 2 + w0 * trace - 2 * deeper[0],
+            (w0 * b01 + w1 * b11) / 2 + w1 * trace - 2 * deeper[1],
+        ]
+        facing_px, bend_px = (variance * np.array([u0 * a + u1 * b, v0 * a + v1 * b]) for a, b in (facing, lean))
+        return shape, facing_px, bend_px

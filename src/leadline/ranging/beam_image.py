@@ -28,7 +28,10 @@ class BeamImage:
         lengths = 1 / (self._first + self._step * np.arange(NODES))
         points = rig.laser.origin_m + lengths[:, None] * self.direction
         axis = np.array([0.0, 0.0, 1.0]) if side == "left" else rig.T_right_left.R[2]
-        self.deeper = np.concatenate([axis @ self.across.T, [axis @ self.direction]])  # per metre across (2) and along
+        self.deeper: list[float] = [
+            *(self.across @ axis).tolist(),
+            float(axis @ self.direction),
+        ]  # a metre, across (2), along
         self._start_m = float(axis @ (rig.laser.origin_m - (0 if side == "left" else rig.T_left_right.t_m)))
         q_px, jacobian = rig.project_with_jacobian(points, camera=side)
         slope_px = -(jacobian @ self.direction) * (lengths**2 * self._step)[:, None]  # per node
@@ -37,7 +40,7 @@ class BeamImage:
         self._cubic = np.stack(parts, axis=1)  # (NODES - 1, 4, 2) px: Hermite's, of the part of a node
         self._plain = self._cubic.tolist()  # for one place at a time, which is most of the time
         self._u_px, self._v_px = q_px.T.copy()
-        self._sideways = (jacobian @ self.across.T) * lengths[:, None, None]  # px m/m: almost constant
+        self._across_px = ((jacobian @ self.across.T) * lengths[:, None, None]).tolist()  # px m/m: almost constant
 
     def at(self, lengths_m: Array) -> Array:
         """Pixels (K, 2) of lengths (K,) within the table, by Hermite's cubic; NaN where unseen."""
@@ -49,7 +52,7 @@ class BeamImage:
 
     def depth_m(self, length_m: float) -> float:
         """Along the camera's axis."""
-        return self._start_m + length_m * float(self.deeper[2])
+        return self._start_m + length_m * self.deeper[2]
 
     def closest(self, q_px: Array) -> float:
         """The length (m) whose pixel is nearest to q (2,), to about a node; NaN where the beam is nowhere seen."""
@@ -59,16 +62,25 @@ class BeamImage:
         nearest = int(off.argmin())
         return 1 / (self._first + self._step * nearest) if off[nearest] < np.inf else float("nan")
 
-    def near(self, length_m: float) -> tuple[Array, Array, Array]:
-        """Pixel (2,), d(pixel)/d(length) (2,) px/m and d(pixel)/d(offset across the beam) (2, 2) px/m at one length."""
+    def near(self, length_m: float) -> tuple[float, float, float, float]:
+        """Pixel u, v and d(pixel)/d(length), px/m, at one length."""
         place = min(max((1 / length_m - self._first) / self._step, 0.0), NODES - 1 - 1e-9)
         node = int(place)
         t = place - node
         (u0, v0), (u1, v1), (u2, v2), (u3, v3) = self._plain[node]
-        q_px = np.array([u0 + t * (u1 + t * (u2 + t * u3)), v0 + t * (v1 + t * (v2 + t * v3))])
         per_m = -1 / (self._step * length_m**2)
-        slope_px = np.array([per_m * (u1 + t * (2 * u2 + 3 * t * u3)), per_m * (v1 + t * (2 * v2 + 3 * t * v3))])
-        return q_px, slope_px, self._sideways[round(place)] / length_m
+        return (
+            u0 + t * (u1 + t * (u2 + t * u3)),
+            v0 + t * (v1 + t * (v2 + t * v3)),
+            per_m * (u1 + t * (2 * u2 + 3 * t * u3)),
+            per_m * (v1 + t * (2 * v2 + 3 * t * v3)),
+        )
+
+    def sideways(self, length_m: float) -> tuple[tuple[float, float], tuple[float, float]]:
+        """d(pixel)/d(offset across the beam), px/m: of u, of v."""
+        place = min(max((1 / length_m - self._first) / self._step, 0.0), NODES - 1)
+        (a, b), (c, d) = self._across_px[round(place)]
+        return (a / length_m, b / length_m), (c / length_m, d / length_m)
 
 
 class CalibrationPixels:

@@ -18,15 +18,14 @@ from leadline.samples import Array, Image
 
 BAND_PX = 3.0  # off the curve: the rig's own error
 MIN_RISE = 5.0  # grey levels over the ground
-STANDS_OUT = 4.5  # over the noise along the curve, to be a candidate
-MIN_SNR = 6.0  # of a fitted one
+STANDS_OUT = 3.5  # over the noise along the curve, to be a candidate
+MIN_SNR = 5.0  # of a fitted one
 GREENER = 1.25  # than any other channel
 SIZES = (0.45, 2.2)  # of what is expected
 ROUNDNESS = 0.45
 MISFIT = 0.35  # of its height
 RIVAL = 0.6  # of the best one's height: then neither is trusted
 CANDIDATES = 3
-CENTRE_ITERATIONS = 12
 _SEARCH_SIGMA = 1.2  # samples in a sigma while searching
 _GREENNESS = np.array([[-0.25, 1.0, -0.25]])
 
@@ -75,8 +74,8 @@ def find_spot(
     reasons: list[str] = []
     best = places[0][0]
     for rise, q_px in places:
-        if rise < RIVAL * best and found:
-            break
+        if found and (rise < RIVAL * best or any(_apart(fit.q_px, q_px) < _alone_px(sigma_px) for fit in found)):
+            continue  # too faint to matter, or the rim of a saturated one
         fit = fit_spot(image, q_px, shape_px2, beam_px_m, dark)
         reason = "no spot fits what stands out" if fit is None else _refused(fit, curve, image.shape)
         if fit is not None and not reason:
@@ -86,17 +85,19 @@ def find_spot(
     if not found:
         return NoSpot(reasons[0])
     strongest = max(found, key=lambda fit: fit.height.max())
-    if any(fit is not strongest and fit.height.max() > RIVAL * strongest.height.max() for fit in found):
-        return NoSpot("two places on the beam look like its spot")
+    for fit in found:
+        if fit.height.max() > RIVAL * strongest.height.max() and _apart(fit.q_px, strongest.q_px) > sigma_px:
+            return NoSpot("two places on the beam look like its spot")
     return Spot(strongest.q_px, strongest.cov_px2, strongest.snr, strongest.spread)
 
 
-def greenness(image: Image) -> Array:
-    """Green over the mean of red and blue, so that white glints and snow count half; grey images as they are."""
-    if image.ndim == 2:
-        return image.astype(float)
-    blue, green, red = (image[..., i].astype(float) for i in range(3))
-    return np.asarray(green - 0.25 * (blue + red))
+def _apart(one_px: Array, other_px: Array) -> float:
+    return hypot(*(one_px - other_px).tolist())
+
+
+def _alone_px(sigma_px: float) -> float:
+    """Two places nearer than this to each other are not told apart."""
+    return 4 * sigma_px + 2
 
 
 def _refused(fit: SpotFit, curve: Array, shape: tuple[int, ...]) -> str:
@@ -147,31 +148,37 @@ def _candidates(image: Image, dark: Image | None, curve: Array, sigma_px: float)
     sigma = max(sigma_px / block, 0.7)
     side = 2 * round(3 * sigma) + 1
     rise = cv2.GaussianBlur(green, (0, 0), 0.8 * sigma) - cv2.blur(green, (side, side))
-    step = max(1, round(0.5 * sigma_px / max(hypot(*(curve[1] - curve[0]).tolist()), 0.1)))
-    line = curve[::step]
-    beside = ceil(BAND_PX / block)
-    across = np.arange(-beside, beside + 1, dtype=np.float64) * block
-    at = line[:, None] + across[None, :, None] * _normals(line)[:, None]
-    place = np.asarray((at - (np.array([x0, y0]) + (block - 1) / 2)) / block, np.float32)
+    line, normal = _thinned(curve, 0.5 * sigma_px)
+    across = np.arange(-ceil(BAND_PX / block), ceil(BAND_PX / block) + 1, dtype=np.float64) * block
+    at = line[:, None] + across[:, None] * normal
+    place = np.asarray((at - np.array([x0 + (block - 1) / 2, y0 + (block - 1) / 2])) / block, np.float32)
     strip = cv2.remap(rise, place[..., 0], place[..., 1], cv2.INTER_LINEAR)
     return _peaks(np.asarray(strip, np.float64), at, sigma_px)
 
 
+def _thinned(curve: Array, step_px: float) -> tuple[Array, Array]:
+    """About a point each step, and the unit normal (2,); a beam's image is as good as straight."""
+    x, y = (curve[-1] - curve[0]).tolist()
+    length = hypot(x, y) + 1e-12
+    return curve[:: max(1, round(step_px * (len(curve) - 1) / length))], np.array([-y / length, x / length])
+
+
 def _peaks(strip: Array, at: Array, sigma_px: float) -> list[tuple[float, Array]]:
-    top = strip.max(axis=1)
+    """The highest places of a strip (K, n) with pixels ``at`` (K, n, 2), apart from each other."""
     half = strip.size // 2
     middle = float(np.partition(strip.ravel(), half)[half])
     noise = 1.4826 * float(np.partition(np.abs(strip - middle).ravel(), half)[half]) + 0.2
+    least = max(STANDS_OUT * noise, 0.4 * MIN_RISE)
     found: list[tuple[float, Array]] = []
-    left = top.copy()
     while len(found) < CANDIDATES:
-        row = int(np.argmax(left))
-        peak = float(left[row])
-        if peak < max(STANDS_OUT * noise, 0.4 * MIN_RISE):
+        row, column = divmod(int(strip.argmax()), strip.shape[1])
+        if strip[row, column] < least:
             break
-        q_px = at[row, int(np.argmax(strip[row]))]
-        found.append((peak, q_px))
-        left[np.hypot(*(at[:, at.shape[1] // 2] - q_px).T) < 4 * sigma_px + 2] = -np.inf
+        q_px = at[row, column]
+        found.append((float(strip[row, column]), q_px))
+        off = at[:, at.shape[1] // 2] - q_px
+        off *= off
+        strip[off[:, 0] + off[:, 1] < _alone_px(sigma_px) ** 2] = -np.inf
     return found
 
 
@@ -182,45 +189,3 @@ def _small(part: Image, size: tuple[int, int], block: int) -> Array:
     if part.ndim == 2:
         return np.asarray(part, np.float32)
     return np.asarray(cv2.transform(part.astype(np.float32), _GREENNESS), np.float32)
-
-
-def _normals(curve: Array) -> Array:
-    """Unit normals (K, 2) of a curve."""
-    normal = np.empty_like(curve)
-    normal[1:-1] = curve[2:] - curve[:-2]
-    normal[0], normal[-1] = curve[1] - curve[0], curve[-1] - curve[-2]
-    normal /= np.hypot(normal[:, :1], normal[:, 1:]) + 1e-12
-    normal = normal[:, ::-1]
-    normal[:, 0] *= -1
-    return normal
-
-
-def centre_spot(region: Array, start: Array, radius_px: float) -> tuple[Array, Array] | None:
-    """Iterated Gaussian-weighted mean over the background-free spot, and its covariance from the local noise."""
-    reach = int(np.ceil(3 * radius_px)) + 3
-    x0, y0 = (round(float(v)) for v in start)
-    patch = region[y0 - reach : y0 + reach + 1, x0 - reach : x0 + reach + 1]
-    if patch.shape != (2 * reach + 1, 2 * reach + 1):
-        return None
-    dy, dx = np.mgrid[-reach : reach + 1, -reach : reach + 1].astype(float)
-    ring = np.hypot(dx, dy) > 2.2 * radius_px + 1
-    terms = np.stack([np.ones_like(dx), dx, dy], axis=-1)
-    plane = np.linalg.lstsq(terms[ring], patch[ring], rcond=None)[0]
-    signal = patch - terms @ plane
-    noise = float(np.std(signal[ring])) + 0.3
-    width = max(radius_px, 1.0)
-    centre = np.array([float(start[0]) - x0, float(start[1]) - y0])
-    for _ in range(CENTRE_ITERATIONS):
-        window = np.exp(-0.5 * ((dx - centre[0]) ** 2 + (dy - centre[1]) ** 2) / width**2)
-        weight = window * signal
-        total = float(weight.sum())
-        if total <= 0:
-            return None
-        step = np.array([(weight * (dx - centre[0])).sum(), (weight * (dy - centre[1])).sum()]) / total
-        centre = centre + 1.6 * step  # the window halves the step of a spot as wide as itself
-        if np.linalg.norm(step) < 1e-3 or np.abs(centre).max() > reach:
-            break
-    if np.linalg.norm(centre - (start - [x0, y0])) > 2 * radius_px + 3:
-        return None
-    variance = 4 * noise**2 * float((window**2 * dx**2).sum()) / total**2
-    return np.add(centre, [x0, y0]), (variance + 0.1**2) * np.eye(2)

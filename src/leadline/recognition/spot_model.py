@@ -2,6 +2,9 @@
 
 A Gaussian on a sloping ground, and behind it the glow of its own beam in the water, which ends at the spot: the spot's
 light smeared back along the beam's image. In units in which the expected spot is the unit circle.
+
+Everything but the exponentials is a polynomial of second order over the pixels, so that all derivatives are one
+product of a small matrix with the pixels' monomials.
 """
 
 from __future__ import annotations
@@ -40,17 +43,18 @@ class Beamed:
         return cls((-x / per_m, -y / per_m), glow) if glow > DARK else None
 
 
-def blank(u: Array, r2: Array, beam: Beamed | None) -> Array:
-    """Terms (9 or 10, n) of the places u (2, n), filled as far as they never change."""
-    terms = np.empty((9 if beam is None else 10, u.shape[1]))
-    terms[HEIGHT], terms[6], terms[7:9] = np.exp(-0.5 * r2), 1.0, u
-    return terms
+def monomials(u: Array) -> Array:
+    """1, x, y, x^2, xy, y^2 (6, ...) of places u (2, ...)."""
+    basis = np.empty((6, *u.shape[1:]))
+    basis[0], basis[1:3] = 1.0, u
+    np.multiply(u, u[0], out=basis[3:5])
+    np.multiply(u[1], u[1], out=basis[5])
+    return basis
 
 
-def heights(values: Array, linear: Array) -> Array:
-    """Height, ground and what else is linear (k,) of values (n,), or the heights (C,) of (n, C), for known places."""
-    fitted = solved(linear @ linear.T, linear @ values)
-    return fitted if values.ndim == 1 else np.asarray(fitted[0])
+def distance2(basis: Array, x: float, y: float) -> Array:
+    """Square distances (n,) of the places from one."""
+    return np.asarray(np.array([x * x + y * y, -2 * x, -2 * y, 1.0, 0.0, 1.0]) @ basis)
 
 
 def solved(a: Array, b: Array) -> Array:
@@ -65,19 +69,48 @@ class Normal:
     theta: Array
     matrix: Array  # (m, m)
     pull: Array  # (m,)
-    residual: Array  # (n,)
-    variance: float
+    chi2: float
+    dof: int
     beam: Beamed | None
 
     @classmethod
-    def at(cls, theta: Array, u: Array, values: Array, terms: Array, beam: Beamed | None) -> Normal:
-        """``terms``: of ``blank``; those that change are overwritten."""
-        _evaluate(theta, u, terms, beam)
-        residual = values - theta[HEIGHT:] @ terms[HEIGHT:]
-        variance = float(residual @ residual) / max(len(values) - len(theta), 5) + 1e-3
-        matrix = terms @ terms.T
-        matrix.ravel()[:: len(theta) + 1] += 1e-9
-        return cls(theta, matrix, terms @ residual, residual, variance, beam)
+    def start(cls, basis: Array, rows: Array, beam: Beamed | None) -> Normal:
+        """With the expected place and form. basis: ``monomials`` (6, n). rows: (m + 1, n), of which the last are the
+        values and all others are filled here and in ``at``."""
+        count = len(rows) - 1
+        rows[6:9] = basis[:3]
+        theta = np.zeros(count)
+        theta[HEIGHT] = 1.0
+        _evaluate(theta, basis, rows, beam)
+        gram = rows @ rows.T
+        theta[HEIGHT:GLOW] = solved(gram[HEIGHT:GLOW, HEIGHT:GLOW], gram[HEIGHT:GLOW, count])
+        height = float(theta[HEIGHT])
+        rows[:HEIGHT] *= height
+        gram[:HEIGHT] *= height
+        gram[:, :HEIGHT] *= height
+        return cls._of(theta, gram, rows, beam)
+
+    @classmethod
+    def at(cls, theta: Array, basis: Array, rows: Array, beam: Beamed | None) -> Normal:
+        _evaluate(theta, basis, rows, beam)
+        return cls._of(theta, rows @ rows.T, rows, beam)
+
+    @classmethod
+    def _of(cls, theta: Array, gram: Array, rows: Array, beam: Beamed | None) -> Normal:
+        """gram: (m + 1, m + 1), of d(model)/d(parameter) and the values."""
+        count = len(theta)
+        left = gram[:, count] - gram[:, HEIGHT:count] @ theta[HEIGHT:]
+        chi2 = float(left[count] - theta[HEIGHT:] @ left[HEIGHT:count])
+        gram.ravel()[:: count + 2] += 1e-9
+        return cls(theta, gram[:count, :count], left[:count], chi2, max(rows.shape[1] - count, 5), beam)
+
+    @property
+    def variance(self) -> float:
+        return self.chi2 / self.dof + 1e-3
+
+    def residual(self, rows: Array) -> Array:
+        """(n,) of the values in ``rows``."""
+        return np.asarray(rows[-1] - self.theta[HEIGHT:] @ rows[HEIGHT:-1])
 
     def step(self, form_sigma: float) -> tuple[Array, Array]:
         """With the form held to what is expected by so much, the glow to what water can do; and the matrix for it."""
@@ -92,34 +125,57 @@ class Normal:
         step = solved(matrix, self.pull - hold * self.theta)
         return np.minimum(np.maximum(step, -longest), longest), matrix
 
+    def rms(self, step: Array | None = None) -> float:
+        """Of the residual, here or after a step so small that the model is linear."""
+        less = 0.0 if step is None else float(step @ (2 * self.pull - self.matrix @ step))
+        return float((max(self.chi2 - less, 0.0) / self.dof + 1e-3) ** 0.5)
 
-def _evaluate(theta: Array, u: Array, terms: Array, beam: Beamed | None) -> None:
-    """The model's derivatives by its parameters, in place; terms[5] is the Gaussian itself."""
-    cx, cy, size, stretch, skew, height = theta[:6].tolist()
-    off = u - np.array([[cx], [cy]])
-    form = np.array([[1 + size + stretch, skew], [skew, 1 + size - stretch]])
-    by = form @ off
-    both = off * by
-    distance2 = both[0] + both[1]
-    light = np.exp(-0.5 * distance2)
-    np.multiply(by, height * light, out=terms[:2])
-    half = (-0.5 * height * light) * off
-    x2, y2 = half * off
-    np.add(x2, y2, out=terms[2])
-    np.subtract(x2, y2, out=terms[3])
-    np.multiply(half[0], 2 * off[1], out=terms[4])
-    terms[5] = light
+
+def _evaluate(theta: Array, basis: Array, rows: Array, beam: Beamed | None) -> None:
+    """The model's derivatives by its parameters, in place; rows[5] is the Gaussian itself, rows[9] the beam's light."""
+    x, y, size, stretch, skew, height = theta[:6].tolist()
+    a, b, c = 1 + size + stretch, skew, 1 + size - stretch  # the form; times off = (place - centre) it is (f, g)
+    f, g, half = -a * x - b * y, -b * x - c * y, -0.5 * height
+    polynomials = [
+        [height * f, height * a, height * b, 0.0, 0.0, 0.0],
+        [height * g, height * b, height * c, 0.0, 0.0, 0.0],
+        [half * (x * x + y * y), height * x, height * y, half, 0.0, half],
+        [half * (x * x - y * y), height * x, -height * y, half, 0.0, -half],
+        [-height * x * y, height * y, height * x, 0.0, -height, 0.0],
+        [0.5 * (x * f + y * g), -f, -g, -0.5 * a, -b, -0.5 * c],  # the exponent, -off.(f, g) / 2
+    ]
     if beam is not None:
-        _glow(float(theta[GLOW]), form, by, distance2, terms, beam)
+        _add_glow(polynomials, (x, y), (a, b, c), float(theta[GLOW]), beam.back)
+    over = np.array(polynomials) @ basis
+    light = np.exp(over[5], out=rows[HEIGHT])
+    np.multiply(over[:5], light, out=rows[:5])
+    if beam is not None:
+        glow = np.multiply(np.exp(np.minimum(over[6], 0)), ndtr(over[7]), out=rows[GLOW])
+        rows[:2] += over[8:10] * glow
 
 
-def _glow(level: float, form: Array, by: Array, distance2: Array, terms: Array, beam: Beamed) -> None:
-    """The beam's light, terms[9], and what it adds to the derivatives by the centre (by the form: left out)."""
-    back = np.array(beam.back)
-    towards = form @ back
-    towards /= max(float(back @ towards), 0.05) ** 0.5
-    way = back @ by / max(float(back @ form @ back), 0.05) ** 0.5  # sigmas from the spot towards the laser
-    across = np.exp(-0.5 * np.maximum(distance2 - way * way, 0))
-    np.multiply(across, ndtr(way), out=terms[GLOW])
-    end = across * np.exp(-0.5 * way * way) * _GAUSS
-    terms[:2] += level * (terms[GLOW] * (by - towards[:, None] * way) - towards[:, None] * end)
+def _add_glow(
+    polynomials: list[list[float]],
+    centre: tuple[float, float],
+    form: tuple[float, float, float],
+    level: float,
+    back: tuple[float, float],
+) -> None:
+    """The glow: its exponent across the beam, the way along it in sigmas towards the laser, and its derivatives by the
+    centre, the end's at once among the spot's own (those by the form are left out)."""
+    (x, y), (a, b, c), (p, q) = centre, form, back
+    s, t = a * p + b * q, b * p + c * q
+    scale = max(p * s + q * t, 0.05) ** 0.5
+    s, t = s / scale, t / scale
+    o = -s * x - t * y
+    e = polynomials[5]
+    way = [o, s, t, 0.0, 0.0, 0.0]
+    squared = [o * o, 2 * o * s, 2 * o * t, s * s, 2 * s * t, t * t]
+    polynomials += [
+        [i + 0.5 * j for i, j in zip(e, squared, strict=True)],
+        way,
+        [level * (-e[1] - s * o), level * (a - s * s), level * (b - s * t), 0.0, 0.0, 0.0],
+        [level * (-e[2] - t * o), level * (b - s * t), level * (c - t * t), 0.0, 0.0, 0.0],
+    ]
+    polynomials[0][0] -= level * _GAUSS * s
+    polynomials[1][0] -= level * _GAUSS * t
