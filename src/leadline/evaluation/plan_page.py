@@ -41,7 +41,7 @@ def write(out: Path, plan: Plan) -> list[Path]:
 def page(plan: Plan) -> str:
     """The whole page."""
     told = list(lines(plan))
-    gains = [(gain.change, 1e3 * gain.after_m, INK["water"]) for gain in plan.gains]
+    gains = [(gain.change.rstrip(","), 1e3 * gain.after_m, INK["water"]) for gain in plan.gains]
     if plan.gains:
         gains.insert(0, ("as it is", 1e3 * plan.gains[0].before_m, INK["grey"]))
         ranked = section(f"What would improve it: sigma of the range at {plan.gains[0].distance_m:g} m", _bars(gains))

@@ -41,7 +41,8 @@ from leadline.target import Cylinder, Plane, Sphere, Surface, Target
 SIDES: tuple[Side, Side] = ("left", "right")
 SURFACE_RADIUS_M = 0.2  # of the piece of an unknown surface that the box is taken to show
 MARGIN_PX = 4.0  # from the border of an image
-MATCHED = 0.82  # of the texture that a match can use: by its blur, and its free slants, gain and level
+MATCHED = 0.78  # of the texture that a match can use: by its blur, and its free slants, gain and level
+ROOMY, CRAMPED, MOST = 6.0, 0.2, 3.0  # on a target fewer patches wide, by how much less with each, up to so many
 _THIRDS = (np.arange(CHOICES) + 0.5) / CHOICES - 0.5
 PLACES = np.stack(np.meshgrid(_THIRDS, _THIRDS), axis=-1).reshape(-1, 2)  # that are tried in a cell, in its sides
 EDGES = 60  # directions about a ball
@@ -62,21 +63,24 @@ class Conditions:
     noise_grey: float = 1.6
     texture_grey_px: float = 2.7
     attenuation_per_m: float = 0.05
-    unlike_px_per_rad: float = 0.38
+    unlike_px_per_rad: float = 0.34
     spot_px: float = 0.07
     frames_hz: float = 10.0
     readings_hz: float = 3.0
     seconds: float = 2.0
 
-    def match_sigma_px(self, distance_m: float, parallax_rad: float, side_px: float, level: int) -> float:
+    def match_sigma_px(
+        self, distance_m: float, parallax_rad: float, side_px: float, level: int, wide: float = ROOMY
+    ) -> float:
         """Of one patch's shift, pixels of the level: the noise limit (both images' noise over the patch's texture), and
-        what the two views do not share.
+        what the two views do not share. wide: the target, in patches.
 
         A texture looks alike at all scales, so that its slope per pixel of the shrunk image is the same; the noise is
         averaged by shrinking.
         """
         texture = self.texture_grey_px * float(np.exp(-self.attenuation_per_m * distance_m))
-        noise_px = np.sqrt(2) * self.noise_grey / 2**level / (MATCHED * texture * side_px)
+        matched = MATCHED * (1 - CRAMPED * min(max(ROOMY - wide, 0.0), MOST))
+        noise_px = np.sqrt(2) * self.noise_grey / 2**level / (matched * texture * side_px)
         return float(np.hypot(noise_px, self.unlike_px_per_rad * parallax_rad / 2**level))
 
 
@@ -154,9 +158,11 @@ def expected_points(
     _, level = levels(settings, rig.focal_outside_px, box, distance)
     rounds = []
     for larger in (1.0, LARGER):  # as the ranger does
-        half, count = patch_size(settings, np.array(box[2:]) / 2**level, level, larger)
+        size_px = np.array(box[2:]) / 2**level
+        half, count = patch_size(settings, size_px, level, larger)
         tried, expected = _patches(rig, target, x, box, level, half, count)
-        sigma_px = conditions.match_sigma_px(distance, rig.baseline_m / distance, 2 * half + 1, level)
+        side_px, wide_px = 2 * half + 1, float(np.sqrt(np.prod(size_px)))
+        sigma_px = conditions.match_sigma_px(distance, rig.baseline_m / distance, side_px, level, wide_px / side_px)
         rounds.append((expected, half, sigma_px, len(expected.length_m) / sigma_px**2))
         if len(expected.length_m) > ENOUGH * tried:
             break
