@@ -2,12 +2,27 @@
 
 Simulated approaches, each a few frames from somewhere between 2.2 and 0.25 m, with its own texture, way and noise. At
 the last frame the localizer goes on twice, with and without one kind of measurement: that is the hand-over, seen from
-either side. For an estimator whose covariance P is true, the step between the two solutions has the variance
-P_without - P_with, so the squared steps in such sigmas are chi-square. And the mean step shows a bias between kinds.
+either side. The mean step of the localizer as it is shows a bias between kinds.
 
-In pictures of one true rig most of what P holds does not happen: no error of the rig, none that all edges or matches
-share. Their steps are far smaller than stated: what the pictures show is that there is no bias and no jump. Where all
-these errors are drawn as they are stated (``drawn_rigs``) the steps must be neither too large nor next to nothing.
+How large may a step be? For an optimal linear estimator the two estimates differ by what the new measurement adds, and
+Cov(x_with - x_without) = P_without - P_with; so squared steps in such sigmas are chi-square. Two things of the
+localizer are no such estimator, and the identity does not hold for them, however true they are:
+
+- What is stated besides the filter's own P is a bound: what a wrong sensor could do, the calibration, the bias of all
+  matches. A bound may grow as a measurement joins, and must where the newcomer contradicts the others: P_without -
+  P_with of the stated sigma is negative in a quarter of the outline's joins.
+- Robust updates: Student's t gives a surprising measurement less weight and leaves P larger by the surprise itself, and
+  the motion's noise follows the corrections. Then P_without - P_with is small just where the step is large (a z of
+  10 was seen, at 1.7 mm).
+
+So z is taken of the filter's own P, and of the filter with plain updates (Gaussian noise, nothing adapts): the same
+models, the same measurements with the same stated covariances, one Kalman filter. That a measurement's sigma is too
+small would show there, undamped. Steps of less than 0.02 mm count as none.
+
+In pictures of one true rig much of what P holds does not happen: no error of the rig, none that all edges or matches
+share. So z^2 is far below 1 for the outline (it has the same error in every frame, and brought it into the first one)
+and for the laser (the filter allows for a clock that is off by 50 ms), and no lower bound could be right for those.
+Where all errors are drawn as they are stated (``drawn_rigs``) the steps must be neither too large nor next to nothing.
 """
 
 from __future__ import annotations
@@ -22,6 +37,8 @@ import pytest
 from scipy import stats
 
 from drawn_rigs import Approach
+from leadline.config import Config
+from leadline.estimation import Filter, FilterSettings
 from leadline.localizer import Localizer
 from leadline.samples import Array, Detection, Kind, LaserRange, Measurement, Rejected, Solution, StereoFrame
 from leadline.simulation.dive import SimulatedDive
@@ -31,8 +48,7 @@ from leadline.target import Sphere
 SHORT, LONG = 8, 200
 FALSE_ALARM = 0.01
 MEAN_STEP_M = 0.0005
-RESOLUTION_M = 0.0001
-TINY_M2 = 1e-14
+RESOLUTION_M = 0.00002
 NEAREST_M, FARTHEST_M = 0.25, 2.2
 FRAMES = 5
 BALL = Sphere(0.34)
@@ -45,6 +61,7 @@ JOINS = {  # who is there before, and who joins (or, seen backwards, goes)
 }
 
 
+PLAIN = FilterSettings(**(Config().filter.model_dump() | {"adapt": False, "student_nu": 1e9}))
 MOST = 2.0  # more than 1: a rig's error is in several frames alike, and the filter takes it for noise
 LEAST = 0.35  # mean squared step where 1 is expected: were variances three times too large, two joins fell below it
 TWO_SIDED = ("spot", "stereo", "beam after stereo alone")
@@ -54,16 +71,14 @@ TWO_SIDED = ("spot", "stereo", "beam after stereo alone")
 
 @dataclass(frozen=True)
 class Step:
-    """Range with the kind minus without it, and the variance that it should have, of what is stated and of what the
-    filter says alone; the distance."""
+    """Range with the kind minus without it, and the variance that it should have by the filter; the distance."""
 
     distance_m: float
     step_m: float
     variance_m2: float
-    filter_m2: float
 
 
-Stepper = Callable[[int, set[Kind], set[Kind]], Step | None]
+Stepper = Callable[[int, set[Kind], set[Kind], bool], Step | None]
 
 
 class Boxed:
@@ -132,11 +147,13 @@ def _readings(dive: SimulatedDive, frames: tuple[StereoFrame, ...], rng: np.rand
     return readings
 
 
-def step(seed: int, before: set[Kind], joins: set[Kind]) -> Step | None:
-    """In pictures; None where the kinds that join have nothing to say there."""
+def step(seed: int, before: set[Kind], joins: set[Kind], plain: bool) -> Step | None:
+    """In pictures; None where the kinds that join have nothing to say there. plain: with plain updates."""
     dive, frames, readings = approach(seed)
     localizer = Localizer(dive.rig, BALL, Boxed(dive))
     localizer._sight = Choosy(localizer)  # type: ignore[assignment]
+    if plain:
+        localizer._filter = Filter(PLAIN)
     return hand_over(localizer, dive.truth_at(frames[-1].t_ns).range_m, frames, readings, before, joins)
 
 
@@ -146,11 +163,14 @@ def drawn_approach(seed: int) -> tuple[float, Approach]:
     return distance_m, Approach(1000 + seed, distance_m, FRAMES)
 
 
-def drawn_step(seed: int, before: set[Kind], joins: set[Kind]) -> Step | None:
+def drawn_step(seed: int, before: set[Kind], joins: set[Kind], plain: bool) -> Step | None:
     """With a rig and all other errors drawn as they are stated."""
     distance_m, way = drawn_approach(seed)
     readings = [one for one in way.readings.values() if one is not None]
-    return hand_over(way.localizer(), distance_m, [way.frame(t) for t in way.times_ns], readings, before, joins)
+    localizer = way.localizer()
+    if plain:
+        localizer._filter = Filter(PLAIN)
+    return hand_over(localizer, distance_m, [way.frame(t) for t in way.times_ns], readings, before, joins)
 
 
 def hand_over(
@@ -186,29 +206,17 @@ def hand_over(
     full, used = take(other, frames[-1], before | joins)
     if not used & joins or without.range_m is None or full.range_m is None:
         return None
-    assert without.range_sigma_m is not None
-    assert full.range_sigma_m is not None
-    return Step(
-        distance_m,
-        full.range_m - without.range_m,
-        without.range_sigma_m**2 - full.range_sigma_m**2,
-        filter_m2(localizer) - filter_m2(other),
-    )
+    return Step(distance_m, full.range_m - without.range_m, filter_m2(localizer) - filter_m2(other))
 
 
-def steps(name: str, count: int, one_step: Stepper = step) -> list[Step]:
-    found = [one_step(seed, *JOINS[name]) for seed in range(count)]
+def steps(name: str, count: int, one_step: Stepper = step, *, plain: bool = True) -> list[Step]:
+    found = [one_step(seed, *JOINS[name], plain) for seed in range(count)]
     return [one for one in found if one is not None]
 
 
 def sigmas(found: list[Step]) -> Array:
-    """Steps (N,) in the sigmas that they should have as stated; less than a tenth of a millimetre is no step."""
+    """Steps (N,) in the sigmas that they should have."""
     return np.array([one.step_m / np.sqrt(max(one.variance_m2, 0.0) + RESOLUTION_M**2) for one in found])
-
-
-def filter_sigmas(found: list[Step]) -> Array:
-    """Steps (N,) in the sigmas that they should have by the filter alone, without what is stated besides."""
-    return np.array([one.step_m / np.sqrt(max(one.filter_m2, TINY_M2)) for one in found])
 
 
 def passes(z: Array) -> bool:
@@ -217,19 +225,19 @@ def passes(z: Array) -> bool:
 
 
 def report(name: str, found: list[Step]) -> str:
-    z, step_mm = sigmas(found), 1e3 * np.array([one.step_m for one in found])
-    return (
-        f"{name}: {len(z)} steps, mean {step_mm.mean():+.3f} mm, rms {np.sqrt((step_mm**2).mean()):.3f} mm, "
-        f"z^2 {(z**2).mean():.2f} on average, |z| at most {np.abs(z).max():.1f}"
-    )
+    z = sigmas(found)
+    return f"{name}: {len(z)} steps, z^2 {(z**2).mean():.2f} on average, |z| at most {np.abs(z).max():.1f}"
+
+
+def mean_step_m(found: list[Step]) -> float:
+    return float(np.mean([one.step_m for one in found]))
 
 
 def check(name: str, count: int) -> None:
-    found = steps(name, count)
-    assert len(found) >= 0.6 * count
-    told = report(name, found)
-    assert passes(sigmas(found)), told
-    assert abs(np.mean([one.step_m for one in found])) <= MEAN_STEP_M, told
+    as_it_is, found = steps(name, count, plain=False), steps(name, count)
+    assert min(len(as_it_is), len(found)) >= 0.6 * count
+    assert abs(mean_step_m(as_it_is)) <= MEAN_STEP_M, f"{name}: mean step {1e3 * mean_step_m(as_it_is):+.3f} mm"
+    assert passes(sigmas(found)), report(name, found)
 
 
 @pytest.mark.parametrize("name", JOINS)
@@ -244,12 +252,10 @@ def test_the_solution_does_not_jump_in_two_hundred_approaches(name: str) -> None
 
 
 def check_drawn(name: str, count: int) -> None:
-    """By the filter's own covariance, which is what a measurement changes; bounds stated besides are no noise."""
     found = steps(name, count, drawn_step)
     assert len(found) >= 0.9 * count
-    z = filter_sigmas(found)
-    told = f"{name}: z^2 {(z**2).mean():.2f} on average, |z| at most {np.abs(z).max():.1f}"
-    assert passes(sigmas(found)), told
+    told = report(name, found)
+    z = sigmas(found)
     assert (z**2).mean() < MOST, told
     if name in TWO_SIDED:
         assert (z**2).mean() > LEAST, told
