@@ -61,6 +61,13 @@ def centres(guide: Guide, rng: np.random.Generator) -> Pose:
     return Pose(pose.R, np.array([0.03, 0.0, 1.0]) * distance - pose.R @ middle)
 
 
+def drawn_in(pose: Pose, misses: int) -> Pose:
+    """The page says when a board is cut off: each time its owner moves it to the middle and away from the camera."""
+    middle = BOARD.points_m.mean(axis=0)
+    place = pose.apply(middle) * (0.92**misses, 0.92**misses, 1.02**misses)
+    return Pose(pose.R, place - pose.R @ middle)
+
+
 @dataclass(frozen=True, slots=True)
 class Session:
     guide: Guide
@@ -69,14 +76,15 @@ class Session:
 
 def session(rig: Rig, medium: Medium, hand: Hand, rng: np.random.Generator, *, at_most: int = 60) -> Session:
     """Boards are held up until it is enough, or somebody has lost patience."""
-    guide = Guide(BOARD, medium, SIZE)
+    guide, misses = Guide(BOARD, medium, SIZE), 0
     for shown in range(at_most):
         if guide.wants_trial and guide.coverage.complete:
             names = guide.names
             guide.take(trial(guide.views, BOARD, SIZE, LATER), names)
         if guide.enough:
             return Session(guide, shown)
-        pixels = seen(rig, hand(guide, rng), medium)
+        pixels = seen(rig, drawn_in(hand(guide, rng), misses), medium)
+        misses = misses + 1 if pixels is None else 0
         if pixels is None:
             continue
         left, right = (corners(q + SIGMA_PX * rng.normal(size=q.shape)) for q in pixels)
@@ -90,7 +98,7 @@ def session(rig: Rig, medium: Medium, hand: Hand, rng: np.random.Generator, *, a
 # -- pictures ----------------------------------------------------------------------------------------------------------
 
 SMALL = Board(7, 5, 0.040)
-_PX = 40  # of a square in the drawn board
+_PX = 30  # of a square in the drawn board
 _RIM = 1  # squares of white around the outermost squares
 
 
@@ -123,7 +131,7 @@ def picture(
     size = rig.left.width, rig.left.height
     wall = np.full((2 * size[1], 2 * size[0]), 110, np.uint8)
     cv2.warpPerspective(sheet, H, (2 * size[0], 2 * size[1]), wall, cv2.INTER_LINEAR, cv2.BORDER_TRANSPARENT)
-    image = light * cv2.resize(wall, size, interpolation=cv2.INTER_AREA) + rng.normal(size=size[::-1])
+    image = light * cv2.resize(wall, size, interpolation=cv2.INTER_AREA) + 2 * rng.normal(size=size[::-1])
     return np.clip(np.rint(cv2.GaussianBlur(image, (0, 0), 0.6)), 0, 255).astype(np.uint8)
 
 

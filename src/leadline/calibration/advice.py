@@ -14,6 +14,7 @@ from leadline.calibration.coverage import (
     CELL_CORNERS,
     EACH_BAND,
     EACH_TILT,
+    FARTHER,
     Coverage,
     Stance,
     sees_in,
@@ -107,7 +108,7 @@ def pushed(rig: Rig, board: Board, medium: Medium, way: tuple[int, int], distanc
         shift = np.nan_to_num(goals[:, np.array(way) + 1, (0, 1)])
         places[:, :2] += shift * distance_m / (rig.left.fx, rig.left.fy) / _index(rig, medium)
     low, high = _bounds(rig, medium, rims + places[:, None])
-    fits = (low > -2).all(axis=1) & (high < size + 1).all(axis=1)
+    fits = np.asarray((low > -2).all(axis=1) & (high < size + 1).all(axis=1))
     points = (board.points_m - middle) @ R.transpose(0, 2, 1) + places[:, None]
     pixels = {
         side: q.reshape(points.shape[0], -1, 2) for side, q in _pixels(rig, medium, points.reshape(-1, 3)).items()
@@ -136,7 +137,7 @@ def _bounds(rig: Rig, medium: Medium, points_m: Array) -> tuple[Array, Array]:
 
 def _distance_m(coverage: Coverage, band: str) -> float:
     near, far = coverage.edges_m
-    places: dict[str, float] = {"near": 0.8 * near, "middle": (near * far) ** 0.5, "far": 1.35 * far}
+    places: dict[str, float] = {"near": 0.8 * near, "middle": (near * far) ** 0.5, "far": FARTHER * far}
     return places[band]
 
 

@@ -30,10 +30,15 @@ CELL_CORNERS = 3
 """Corners in a cell of the picture, with which it counts as covered."""
 NEAR_M, FAR_M = 0.65, 1.2
 """Nearer than the first is near, beyond the second far."""
+SQUARE_PX = 16.0
+"""Smaller squares have corners so much worse than near ones that they do not fit them: far ends there."""
+FARTHER = 1.35
+"""Times where far begins: the distance that is advised."""
 TILTED_DEG = 15.0
 STEEPEST_DEG = 50.0
 """Beyond it corners are found badly."""
 _FIT = 1.5  # times the distance at which the board fills the picture: with a large board that is near
+_APART = 1.3  # far over near at least
 _SHARED_M = 1.5  # what both cameras must see is told there
 _GUESS_F, _GUESS_BASELINE_M, _WATER = 0.75, 0.063, 1.335  # f as a part of the width
 _KNOWN_FROM = 4  # pairs, from which the focal length is told from the images
@@ -220,4 +225,5 @@ def _edges_m(rig: Rig, board: Board) -> tuple[float, float]:
     width, height = board.points_m.max(axis=0)[:2]
     fills = max(width * rig.left.fx / rig.left.width, height * rig.left.fy / rig.left.height)
     near = max(NEAR_M, _FIT * float(fills))
-    return near, max(FAR_M, near * FAR_M / NEAR_M)
+    sharp = board.square_m * rig.left.fx / SQUARE_PX / FARTHER
+    return near, max(min(max(FAR_M, near * FAR_M / NEAR_M), sharp), _APART * near)

@@ -51,8 +51,8 @@ class Guide:
         away = [stance.away(other) for other in self.coverage.stances]
         if away and min(away) < 1:
             return f"Like image {int(np.argmin(away)) + 1}, which is saved: move on."
-        if self.coverage.complete:  # and yet the calibration is not good: whatever is different helps
-            return ""
+        if self.coverage.complete:  # and yet the calibration may not be good: then whatever is different helps
+            return "" if self.judged is not None else "The calibration is tried with these images: a moment …"
         more = coverage_of([*self.views, view], self._board, self._rig, self.size)
         return "" if self.coverage.adds(more, stance) else "Seen well, but nothing that is missing: see what is next."
 

@@ -40,7 +40,7 @@ export function drawPose(canvas, tilt, enough) {
   const lean = { top: [0, -1], bottom: [0, 1], left: [-1, 0], right: [1, 0], square: [0, 0] }[tilt];
   const at = (u, v) => { // u, v from -1 to 1 on the board
     const near = 1 + LEAN * (u * lean[0] + v * lean[1]);
-    return [width / 2 + u * 0.3 * width * near * (lean[0] ? 0.82 : 1), height / 2 + v * 0.3 * height * near * (lean[1] ? 0.82 : 1)];
+    return [width / 2 + u * 0.3 * width * near * (lean[0] ? 0.82 : 1), height / 2 + v * 0.3 * height * near * (lean[1] ? 0.72 : 1) - lean[1] * 6];
   };
   const quad = (u0, v0, u1, v1, style) => {
     pen.beginPath();
@@ -57,7 +57,7 @@ export function drawPose(canvas, tilt, enough) {
     }
   }
   if (tilt === "square") return;
-  const [x, y] = at(1.42 * lean[0], 1.42 * lean[1]);
+  const [x, y] = at(1.42 * lean[0], 1.36 * lean[1]);
   pen.fillStyle = colour("--ink");
   pen.font = "600 15px system-ui, sans-serif";
   pen.textAlign = "center";

@@ -35,6 +35,9 @@ class Capture(Protocol):
     def keep(self, frame: StereoFrame) -> str:
         """Save it whatever is thought of it; in words what was done."""
 
+    def tales(self) -> list[str]:
+        """What has happened by itself since the last call."""
+
     def undo(self) -> str:
         """Take the last one out again; in words what was done."""
 
@@ -85,7 +88,7 @@ def capture(
     finally:
         source.close()
         following = task.finish()
-    if not session.looked_at and not session.ended and not source.live:
+    if not (session.looked_at or session.ended or task.enough or source.live):
         raise InputError("has no picture that can be read", source.name, "give a source with stereo images")
     count = task.status().count
     return CaptureReport(
@@ -112,6 +115,8 @@ class _Session:
             self._newest = sample
             look = self._task.take(sample)
             self.looked_at += 1
+            for tale in self._task.tales():
+                self._tell(tale)
             self.last = look.words
             self._sink.show(sample, look, self._task.status())
             if look.state == "saved":

@@ -55,6 +55,7 @@ class BoardCapture:
         self._trying: tuple[Future[Trial], tuple[str, ...]] | None = None
         self._steady = Steady(stills=patient)
         self._settings = _settings(rig)
+        self._tales: list[str] = []
         self._try()
 
     def _begun(self) -> Guide | None:
@@ -122,6 +123,11 @@ class BoardCapture:
         self._changed()
         return f"Image {len(self.guide.views) + 1} is taken out."
 
+    def tales(self) -> list[str]:
+        """What has happened by itself since the last call."""
+        tales, self._tales = self._tales, []
+        return tales
+
     def keep(self, frame: StereoFrame) -> str:
         return "Board images are saved by themselves when they are good."
 
@@ -174,6 +180,7 @@ class BoardCapture:
         (work, names), self._trying = self._trying, None
         for name in self.guide.take(work.result(), names):
             self.folder.set_aside(name, "does not fit the others")
+            self._tales.append("An image does not fit the others and is set aside: moved, or not sharp?")
         self._changed()
 
     # -- for the page and for the end --------------------------------------------------------------------------------

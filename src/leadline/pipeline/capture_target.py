@@ -131,6 +131,9 @@ class TargetCapture:
     def keep(self, frame: StereoFrame) -> str:
         return self._save(frame, _seen(len(self._kept), frame, self.labeller.labels(frame)))
 
+    def tales(self) -> list[str]:
+        return []
+
     def undo(self) -> str:
         if not self._kept:
             return "There is nothing to take out."
