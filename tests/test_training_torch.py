@@ -45,6 +45,17 @@ def test_heat_is_one_at_the_centre_and_only_on_levels_that_fit() -> None:
         assert ((hot - middle).abs() <= strides[heat[k] == 1][:, None] / 2).all()
 
 
+def test_a_score_is_pulled_all_the_way_to_what_its_box_is_worth() -> None:
+    """Cross entropy's gradient, score minus quality, undamped however near; 1 for the very box."""
+    cells = cell_centres(8, 8, 8, torch.device("cpu")), torch.full((64,), 8.0)
+    truth = torch.tensor([[16.0, 16, 40, 40]])  # its centre is that of cell (3, 3)
+    for shift, quality in ((0.0, 1.0), (8.0, 0.75)):
+        logits = torch.full((1, 64, 1), 0.8473, requires_grad=True)  # a score of 0.7
+        boxes = truth.repeat(64, 1)[None] + torch.tensor([shift, 0, shift, 0])
+        detection_loss(logits, boxes, cells, [truth], [torch.zeros(1, dtype=torch.long)]).backward()
+        assert float(logits.grad[0, 3 * 8 + 3, 0]) == pytest.approx(0.7 - quality, abs=1e-3)
+
+
 def test_nothing_is_taught_in_an_unsure_box() -> None:
     cells = cell_centres(8, 8, 8, torch.device("cpu")), torch.full((64,), 8.0)
     logits = torch.full((1, 64, 1), 3.0, requires_grad=True)
