@@ -50,9 +50,20 @@ PARTS: tuple[tuple[Any, str, str], ...] = (
     (stereo, "fit", "  shape"),
     (OutlineRanger, "measure", "outline"),
     (LaserSight, "spot", "spot"),
-    (CalibrationError, "at", "calibration error"),
-    (Filter, "add", "filter"),
-)
+    (Localizer, "_fresh", "new picture?"),
+    (Localizer, "_where", "expected place"),
+    (Localizer, "_hold", "held place"),
+    (Localizer, "_add", "filter, with gates"),
+    (Filter, "add", "  filter itself"),
+    (Localizer, "_hear", "witnesses"),
+    (Localizer, "_compare", "laser against cameras"),
+    (Localizer, "_solution", "solution"),
+)  # an indented part is within the one above it
+EVERYWHERE: tuple[tuple[Any, str, str], ...] = (
+    (CalibrationError, "at", "(calibration error)"),
+    (Filter, "at", "(predictions)"),
+)  # within several of the others
+UNNAMED = "all else"
 
 
 class Known:
@@ -98,8 +109,8 @@ def load(source: str | None) -> tuple[list[Sample], Rig, dict[int, list[Detectio
 @contextmanager
 def clocked(spent: dict[str, float]) -> Iterator[None]:
     """Every part adds the milliseconds of its calls to its name."""
-    before = [(owner, name, owner.__dict__[name]) for owner, name, _ in PARTS]
-    for owner, name, label in PARTS:
+    before = [(owner, name, owner.__dict__[name]) for owner, name, _ in PARTS + EVERYWHERE]
+    for owner, name, label in PARTS + EVERYWHERE:
         setattr(owner, name, _clock(owner.__dict__[name], label, spent))
     try:
         yield
@@ -147,10 +158,11 @@ def measure(samples: list[Sample], rig: Rig, boxes: dict[int, list[Detection]]) 
                 start = time.process_time()
                 localizer.step(sample)
                 spent["step"] = (time.process_time() - start) * 1e3
+            spent[UNNAMED] = spent["step"] - sum(spent[label] for *_, label in PARTS if not label.startswith(" "))
             if not first:
                 rows.append(spent)
             first = False
-    labels = ["step", *(label for _, _, label in PARTS)]
+    labels = ["step", *(label for *_, label in PARTS), UNNAMED, *(label for *_, label in EVERYWHERE)]
     return {label: float(np.median([row.get(label, 0.0) for row in rows])) for label in labels}, float(np.median(ruler))
 
 

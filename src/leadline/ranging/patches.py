@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from leadline.ranging.images import HALFWAY, Float32, doubled, linear
+from leadline.ranging.templates import Templates, blurred, dots, offsets, windows
 from leadline.samples import Array
 
 STEPS, CLOSE_PX = 4, 0.15  # after a step that is so small the next ones are as good as nothing
@@ -29,7 +29,6 @@ ALIKE = 0.5  # the least correlation of a place that may be taken for another
 MAX_RUN_PX = 2.0  # from the search, which cannot be wrong by more
 MAX_SLANT_PX = 4.0
 ROUNDED, UNLIKE = 1 / 12, 0.02  # least residual: whole grey levels; interpolation, as a part of the texture
-LEVEL = 0.1  # of the epipolar direction: below it the derivative across it is left out, an instrument need not be exact
 _FIRST = np.eye(3, 1, dtype=np.float32)
 _NUDGE = np.float32(1e-3) * np.eye(3, dtype=np.float32)
 
@@ -97,12 +96,6 @@ def bend_terms(dx: Array | Float32, dy: Array | Float32) -> Array | Float32:
     return np.stack([dx, dy, dx * dx, dx * dy, dy * dy])
 
 
-def offsets(half: int, step: int = 1) -> tuple[Float32, Float32]:
-    """(W,) dx, dy of a patch's pixels from its centre, rows first."""
-    line = np.arange(-half, half + 1, step, dtype=np.float32)
-    return np.tile(line, len(line)), np.repeat(line, len(line))
-
-
 @cache
 def _terms(half: int, step: int) -> Float32:
     """(6, W) what places are linear in: ``bend_terms``, and one for the middle."""
@@ -129,14 +122,15 @@ class _Places:
 def search(left: Float32, right: Float32, warp: Warp, reach_px: float) -> Found:
     """The best shift within +-reach, to a fraction of a pixel; on slightly blurred images, every second pixel."""
     step = 2 if warp.half > 5 else 1
-    template = _normalised(_windows(_blurred(left), warp, 0)[:, ::step, ::step].reshape(len(warp.centre_px), -1))
+    patches = windows(blurred(left), warp.centre_px, warp.half)[:, ::step, ::step]
+    template = _normalised(patches.reshape(len(patches), -1))
     shifts = np.arange(-np.ceil(reach_px), np.ceil(reach_px) + 1)
     p = np.zeros((len(template), len(shifts), 3))
     p[:, :, 0] = shifts
-    flat = _blurred(right)
+    flat = blurred(right)
     flat -= flat.mean()  # so that sums of squares keep their digits
     sampled = linear(flat, *_Places(warp, warp.half, step).at(p))
-    power = _dots(sampled, sampled) - np.einsum("nw->n", sampled) ** 2 / np.float32(sampled.shape[1])
+    power = dots(sampled, sampled) - np.einsum("nw->n", sampled) ** 2 / np.float32(sampled.shape[1])
     table = (sampled.reshape(len(template), len(shifts), -1) @ template[:, :, None])[:, :, 0]
     table /= np.sqrt(np.maximum(power, 0) + np.float32(1e-6)).reshape(table.shape)
     fraction, height = _peaks(table)
@@ -161,85 +155,10 @@ def _peaks(table: Float32) -> tuple[Float32, Float32]:
     return fraction, np.where(peak, table - 0.25 * (low - high) * fraction, np.float32(-1))
 
 
-def _blurred(image: Float32) -> Float32:
-    return np.asarray(cv2.GaussianBlur(image, (3, 3), 0.8), np.float32)
-
-
-def _dots(a: Float32, b: Float32) -> Float32:
-    """(N,) products of rows (N, W); a sum by ``sum`` takes three times as long."""
-    return np.asarray(np.einsum("nw,nw->n", a, b))
-
-
 def _normalised(patches: Float32) -> Float32:
     centred = patches - patches.mean(axis=1, keepdims=True)
-    centred /= np.sqrt(_dots(centred, centred) + 1e-6)[:, None]
+    centred /= np.sqrt(dots(centred, centred) + 1e-6)[:, None]
     return np.asarray(centred, np.float32)
-
-
-def _windows(image: Float32, warp: Warp, room: int) -> Float32:
-    """(N, S, S) patches of an image around the warp's centres, ``room`` pixels wider on each side."""
-    reach = warp.half + room
-    (height, width), side = image.shape, 2 * reach + 1
-    all_of_them = (height - side + 1, width - side + 1, side, side)
-    views = np.ndarray(all_of_them, np.float32, image, strides=2 * image.strides)  # a tenth of the helpers' time
-    columns, rows = warp.centre_px.astype(int).T - reach
-    return np.asarray(views[rows, columns])
-
-
-@dataclass(frozen=True, slots=True)
-class _Weights:
-    """Of a patch's pixels (W,), which stand in one row with a border of one pixel around them that counts for nothing.
-
-    So neighbours in the image are neighbours in the row, or a row's width apart, and sums are products of matrices.
-    """
-
-    side: int
-    inner: Float32  # (W,) one, and zero in the border
-    slants: Float32  # (W, 3) how pixels move by a shift of one, and a slant of one in each direction at the edge
-    products: Float32  # (W, 9) of these
-    ninths: Float32  # (W, 9) each of nine parts
-
-    @classmethod
-    @cache
-    def of(cls, half: int) -> _Weights:
-        dx, dy = offsets(half + 1)
-        inner = (np.maximum(np.abs(dx), np.abs(dy)) <= half).astype(np.float32)
-        slants = np.stack([inner, inner * dx / half, inner * dy / half], axis=1)
-        third = [np.clip((t + half) * 3 // (2 * half + 1), 0, 2) for t in (dx, dy)]
-        ninths = inner[:, None] * ((3 * third[1] + third[0])[:, None] == np.arange(9))
-        products = (slants[:, :, None] * slants[:, None]).reshape(-1, 9)
-        return cls(2 * half + 3, inner, slants, products, ninths.astype(np.float32))
-
-    @property
-    def count(self) -> np.float32:
-        return np.float32((self.side - 2) ** 2)
-
-    def centred(self, patches: Float32) -> Float32:
-        """(N, W) less their means, zero in the border."""
-        flat = patches - (patches @ self.inner / self.count)[:, None]
-        flat *= self.inner
-        return np.asarray(flat, np.float32)
-
-    def across(self, patches: Float32) -> Float32:
-        """Twice the derivative along rows (N, W), for all but the border."""
-        return self._difference(patches, 1)
-
-    def down(self, patches: Float32) -> Float32:
-        return self._difference(patches, self.side)
-
-    @staticmethod
-    def _difference(patches: Float32, by: int) -> Float32:
-        difference = np.empty_like(patches)
-        difference[:, :by] = difference[:, -by:] = 0.0
-        np.subtract(patches[:, 2 * by :], patches[:, : -2 * by], out=difference[:, by:-by])
-        return difference
-
-    def power(self, patches: Float32) -> Float32:
-        """Variances (N,), by every third pixel, which is in every column."""
-        third, inner = np.ascontiguousarray(patches[:, ::3]), self.inner[::3]
-        count = inner.sum()
-        third -= (third @ inner / count)[:, None]
-        return np.asarray((third * third) @ inner / count)
 
 
 def _back(warp: Warp) -> Float32:
@@ -248,76 +167,12 @@ def _back(warp: Warp) -> Float32:
     return np.asarray(np.stack([d * u - b * v, a * v - c * u], axis=1) / (a * d - b * c)[:, None], np.float32)
 
 
-class _Templates:
-    """The left patches, W pixels each, and the instruments they are matched with.
-
-    Instrument i of a patch: slope * slant_i, made square to a constant and to the patch itself, whose level and gain
-    are free. It is never written out: ``pull`` and ``response`` are its products with something else.
-    """
-
-    def __init__(self, left: Float32, warp: Warp) -> None:
-        self.weights = weights = _Weights.of(warp.half)
-        grey, smooth = (_windows(image, warp, 1).reshape(len(warp.centre_px), -1) for image in (left, _blurred(left)))
-        self.clipped = np.count_nonzero((grey > 250) | (grey < 2), axis=1) / grey.shape[1]
-        self.grey = weights.centred(grey)
-        self.energy = _dots(self.grey, self.grey) + np.float32(1e-6)
-        self._back = 0.5 * _back(warp)
-        self._is_level = np.abs(self._back[:, 1]).max(initial=0.0) <= LEVEL / 2
-        across, down = weights.across(smooth), weights.down(smooth)
-        self.grain = _grain(*(weights.power(v) for v in (smooth, across, down)))
-        self.slope = self._along(across, down)
-        self.slope *= weights.inner
-        self._mean = self.slope @ weights.slants / weights.count
-        self._part = ((self.slope * self.grey) @ weights.slants) / self.energy[:, None]
-        self.spread = self.response(self.slope)
-
-    def slope_of(self, patches: Float32) -> Float32:
-        """Derivative (N, W) by the shift, of patches (N, W); in the border anything."""
-        return self._along(self.weights.across(patches), None if self._is_level else self.weights.down(patches))
-
-    def _along(self, across: Float32, down: Float32 | None) -> Float32:
-        slope = across * self._back[:, :1]
-        if down is not None and not self._is_level:
-            slope += down * self._back[:, 1:]
-        return slope
-
-    def pull(self, patches: Float32) -> Float32:
-        """(N, 3) instruments times patches (N, W)."""
-        slants = self.weights.slants
-        sums, along = patches @ slants[:, :1], _dots(self.grey, patches)[:, None]
-        return np.asarray((self.slope * patches) @ slants - self._mean * sums - self._part * along)
-
-    def response(self, slope: Float32) -> Float32:
-        """(N, 3, 3) instruments times patches' derivatives by shift and slants, from their slope (N, W)."""
-        whole = ((self.slope * slope) @ self.weights.products).reshape(-1, 3, 3)
-        sums, along = slope @ self.weights.slants, (self.grey * slope) @ self.weights.slants
-        whole -= self._mean[:, :, None] * sums[:, None]
-        whole -= self._part[:, :, None] * along[:, None]
-        return np.asarray(whole)
-
-    def residual(self, patches: Float32, slope: Float32, step: Array) -> tuple[Float32, Float32]:
-        """What is left (N, W) of patches after a last step (N, 3), and their gain (N, 1) over the left ones."""
-        gain = np.minimum(np.maximum(_dots(patches, self.grey) / self.energy, 0.2), 5.0)[:, None]
-        left = slope * (step.astype(np.float32) @ self.weights.slants.T)
-        left += self.weights.centred(patches)
-        left /= gain
-        left -= self.grey
-        return left, gain
-
-
-def _grain(texture: Float32, across: Float32, down: Float32) -> Float32:
-    """Pixels (N,) over which a patch's texture is all of one piece: the area of its correlation's square.
-
-    For a Gaussian correlation, which bends as the mean square of the slopes (here of twice them) says.
-    """
-    return np.asarray(4 * np.pi * texture / np.sqrt(across * down + np.float32(1e-6)))
-
-
 def refine(left: Float32, right: Float32, warp: Warp, start_px: Array, limits: Limits | None = None) -> Matches:
     """Sub-pixel shifts from shifts good to a pixel or so, with the sigma that noise and texture imply."""
     if not len(start_px):
         return Matches(np.empty(0), np.empty(0), np.empty(0), np.empty(0, np.int8))
-    templates, places, fine = _Templates(left, warp), _Places(warp, warp.half + 1, larger=2), doubled(right)
+    templates = Templates(left, warp.centre_px, warp.half, _back(warp))
+    places, fine = _Places(warp, warp.half + 1, larger=2), doubled(right)
     p = np.concatenate([start_px[:, None], np.zeros((len(start_px), 2))], axis=1)
     for taken in range(STEPS):
         x, y = places.at(p[:, None])
@@ -371,7 +226,7 @@ def _thinned(x: Float32, y: Float32) -> Array:
 
 
 def _judge(
-    template: _Templates,
+    template: Templates,
     residual: Float32,
     response: Float32,
     p: Array,
@@ -382,7 +237,7 @@ def _judge(
 ) -> Matches:
     """Sigma of the shift by the sandwich rule, and the verdict."""
     width = template.weights.count
-    variance = _dots(residual, residual) / (width - 5)
+    variance = dots(residual, residual) / (width - 5)
     dense = 2 / (1 + thinned)  # the noise at the low frequencies that matter, over that of a pixel
     noise = variance * dense
     spread = template.spread
@@ -406,7 +261,7 @@ def _judge(
     return Matches(np.where(matched, p[:, 0], np.nan), np.where(matched, sigma, np.nan), correlation, verdict)
 
 
-def _parts(template: _Templates, residual: Float32, dense: Array) -> Array:
+def _parts(template: Templates, residual: Float32, dense: Array) -> Array:
     """How many sigmas (N,) the strongest of nine parts of a patch would pull the shift its own way.
 
     Where something covers a part of the patch in one of the images, that part pulls and the others hold against it.
