@@ -41,8 +41,8 @@ from leadline.target import Cylinder, Plane, Sphere, Surface, Target
 SIDES: tuple[Side, Side] = ("left", "right")
 SURFACE_RADIUS_M = 0.2  # of the piece of an unknown surface that the box is taken to show
 MARGIN_PX = 4.0  # from the border of an image
-MATCHED = 0.78  # of the texture that a match can use: by its blur, and its free slants, gain and level
-ROOMY, CRAMPED, MOST = 6.0, 0.2, 3.0  # on a target fewer patches wide, by how much less with each, up to so many
+MATCHED = 0.86  # of the texture that a match can use: by its blur, and its free slants, gain and level
+ROOMY, CRAMPED, MOST = 6.0, 0.11, 3.0  # on a target fewer patches wide, by how much less with each, up to so many
 _THIRDS = (np.arange(CHOICES) + 0.5) / CHOICES - 0.5
 PLACES = np.stack(np.meshgrid(_THIRDS, _THIRDS), axis=-1).reshape(-1, 2)  # that are tried in a cell, in its sides
 EDGES = 60  # directions about a ball
@@ -62,7 +62,7 @@ class Conditions:
 
     noise_grey: float = 1.6
     texture_grey_px: float = 2.7
-    attenuation_per_m: float = 0.05
+    attenuation_per_m: float = 0.1
     unlike_px_per_rad: float = 0.34
     spot_px: float = 0.07
     frames_hz: float = 10.0
