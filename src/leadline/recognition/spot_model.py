@@ -78,7 +78,7 @@ class Normal:
         """With the expected place and form. basis: ``monomials`` (6, n). rows: (m + 1, n), of which the last are the
         values and all others are filled here and in ``at``."""
         count = len(rows) - 1
-        rows[6:9] = basis[:3]
+        rows[GROUND] = basis[:3]
         theta = np.zeros(count)
         theta[HEIGHT] = 1.0
         _evaluate(theta, basis, rows, beam)
