@@ -9,6 +9,7 @@ import numpy as np
 
 from leadline.config import Config
 from leadline.estimation import Estimate
+from leadline.estimation.small import chi_square
 from leadline.localizer.laser import LaserSight
 from leadline.localizer.motion import Skew, taken_ns
 from leadline.ranging.calibration_error import CalibrationError
@@ -25,6 +26,7 @@ FAR_SINE = 0.005  # of half the angle that a ball is seen under: smaller ones ar
 VISION = frozenset({Kind.STEREO, Kind.SIZE})
 BOTH = frozenset({"left", "right"})
 Found = list[Measurement | Rejected]
+Size = Measurement | Rejected | None  # None: of what has no outline, or has no size yet
 
 
 class Counted:
@@ -112,19 +114,35 @@ class Sight:
         return skew.widened(honest, self._rig, not isinstance(self._target, Sphere))
 
     def _see(self, t_ns: int, pair: Pair, box: Box, guess: Prior | None) -> Found:
-        """Outline, then stereo where that says; each helps the other where it fails. The first to hold leads."""
-        size = self._trace(t_ns, pair, box, guess)
-        if isinstance(size, Measurement) and guess is None:
-            guess = Prior(size.z, range_with_sigma(self._target, size.z, size.cov)[1])
-        stereo = self._stereo.measure(t_ns, pair, box, guess)
-        if isinstance(stereo, Rejected) and not isinstance(size, Measurement) and guess is not None:
-            stereo = self._stereo.measure(t_ns, pair, box, None)
-        if self._outline is not None and isinstance(stereo, Measurement) and not _same_place(size, stereo):
-            there = self._outline.measure(t_ns, pair, stereo.z)  # a wrong prediction finds edges inside a ball
-            size = there if isinstance(there, Measurement) or not isinstance(size, Measurement) else size
+        """Stereo where the target is predicted, and the outline where stereo says: elsewhere it finds other edges.
+
+        Without a prediction the outline first, and stereo there. Each helps the other where it fails.
+        """
+        if guess is None:
+            size = self._trace(t_ns, pair, box, None)
+            if isinstance(size, Measurement):
+                guess = Prior(size.z, range_with_sigma(self._target, size.z, size.cov)[1])
+            stereo = self._stereo.measure(t_ns, pair, box, guess)
+            if not _same_place(size, stereo):
+                size = self._outline_at(t_ns, pair, stereo, size)
+        else:
+            stereo = self._stereo.measure(t_ns, pair, box, guess)
+            size = self._outline_at(t_ns, pair, stereo, None)
+            if not isinstance(size, Measurement):
+                size = self._trace(t_ns, pair, box, guess) or size
+            if isinstance(stereo, Rejected) and not isinstance(size, Measurement):
+                stereo = self._stereo.measure(t_ns, pair, box, None)
+                size = self._outline_at(t_ns, pair, stereo, size)
         return [stereo] if size is None else [size, stereo]
 
-    def _trace(self, t_ns: int, pair: Pair, box: Box, guess: Prior | None) -> Measurement | Rejected | None:
+    def _outline_at(self, t_ns: int, pair: Pair, stereo: Measurement | Rejected, size: Size) -> Size:
+        """A ball's outline where stereo has it; the one found before (``size``), where it has none."""
+        if self._outline is None or isinstance(stereo, Rejected):
+            return size
+        there = self._outline.measure(t_ns, pair, stereo.z)
+        return there if isinstance(there, Measurement) or not isinstance(size, Measurement) else size
+
+    def _trace(self, t_ns: int, pair: Pair, box: Box, guess: Prior | None) -> Size:
         """The ball's outline from the prediction, else from its box; None for what has none or before it has a size."""
         if self._outline is None:
             return None
@@ -153,8 +171,7 @@ class Sight:
         return (self._laser.last_length_m() if self._laser is not None else None) or 1.0
 
 
-def _same_place(size: Measurement | Rejected | None, stereo: Measurement) -> bool:
-    if not isinstance(size, Measurement):
+def _same_place(size: Size, stereo: Measurement | Rejected) -> bool:
+    if not (isinstance(size, Measurement) and isinstance(stereo, Measurement)):
         return False
-    off_m = size.z[:3] - stereo.z[:3]
-    return bool(off_m @ np.linalg.solve(size.cov[:3, :3] + stereo.cov[:3, :3], off_m) < APART)
+    return chi_square(size.z[:3] - stereo.z[:3], size.cov[:3, :3] + stereo.cov[:3, :3]) < APART
