@@ -22,7 +22,7 @@ FIRST = 8
 DISTANCES_M = (0.5, 1.0, 2.2)
 MATCH_PX = 0.1
 """A match's noise, per camera: what a position costs that a good calibration must not make much worse."""
-SHARE = 0.5
+SHARE = 0.15
 """Of it, that the calibration alone may cost at 2.2 m, in the picture's corner too."""
 _OTHER_MEDIUM = "no images in"  # of a verdict on one medium alone
 
