@@ -21,6 +21,7 @@ INNER = 0.7  # of the box: its corners are not the target
 STEP_PX = 0.7
 MIN_CORRELATION = 0.5
 FAINT = 0.7  # grey levels: what is no stronger, the glow of the water above all, correlates with anything
+SLANTED = 0.03  # of its length: how well a patch is placed that is taken for square to the view and is not
 WINDOW = (0.7, 1.5)  # of the common depth: how far a patch may stand from it
 
 Box = tuple[float, float, float, float]
@@ -49,7 +50,8 @@ def coarse_points(rig: Rig, left: Image, right: Image, box: Box) -> Points | Non
     if keep.sum() < 4:
         return None
     length = sweep.lengths_m[best]
-    sigma = length**2 * (1 / NEAREST_M - 1 / FARTHEST_M) / len(sweep.lengths_m)
+    step = length**2 * (1 / NEAREST_M - 1 / FARTHEST_M) / len(sweep.lengths_m)
+    sigma = np.hypot(step, SLANTED * length)
     return Points(sweep.origins_m, sweep.directions, length, sigma).pick(keep)
 
 
