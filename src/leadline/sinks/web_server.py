@@ -38,7 +38,7 @@ from leadline.wire.images import encode_jpeg
 PAGE = Path(__file__).parents[1] / "page"
 MEDIA = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 CLIENTS, MESSAGE_BYTES = 8, 4096
-PERIOD_S = 1 / 15  # between two messages to a client
+PERIOD_S = 1 / 12  # between two messages to a client
 LOOK_S = 0.015  # how often a client's task looks for news
 BEAT_S = 1.0  # something is said at least so often
 UNSHOWN = 2  # messages under way to a page that has not drawn them yet
