@@ -82,7 +82,7 @@ def _open(path: str, provider: Provider, threads: int) -> Any:
         raise InputError(f"this ONNX Runtime has no {provider}, but {there}", f"provider {provider}", fix)
     options = ort.SessionOptions()
     options.intra_op_num_threads = threads
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # waiting threads leave the processor to others
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # who waits, sleeps
     options.log_severity_level = 4  # what is wrong is told in one line, below
     try:
         session = ort.InferenceSession(path, options, providers=_providers(provider, threads), enable_fallback=0)
