@@ -90,6 +90,8 @@ class Endless(Source):
             pair = self._pairs[there_and_back[second % len(there_and_back)]]
             if second % EVERY_S == 0:
                 self._result.loads.append(_load(second / 3600))
+            if second and second % (seconds // PARTS) == 0:
+                print(self._result.loads[-1], flush=True)  # what there is, should it not come to its end
             t_ns = second * NS_PER_S
             start_s = time.thread_time()
             yield replace(pair, t_ns=t_ns, arrival_ns=t_ns + 80_000_000, left_t_ns=None, right_t_ns=None)
