@@ -25,7 +25,7 @@ from leadline.samples import Array
 
 BANDS = ("near", "middle", "far")
 TILTS = ("top", "bottom", "left", "right")
-BOARDS, EACH_BAND, EACH_TILT = 20, 5, 3
+BOARDS, EACH_BAND, EACH_TILT = 24, 5, 3
 CELL_CORNERS = 3
 """Corners in a cell of the picture, with which it counts as covered."""
 NEAR_M, FAR_M = 0.65, 1.2

@@ -18,8 +18,8 @@ from leadline.samples import Array, Image
 
 BAND_PX = 3.0  # off the curve: the rig's own error
 MIN_RISE = 5.0  # grey levels over the ground
-STANDS_OUT = 3.5  # over the noise along the curve, to be a candidate
-MIN_SNR = 5.0  # of a fitted one
+STANDS_OUT = 4.5  # over the noise along the curve, to be a candidate
+MIN_SNR = 6.0  # of a fitted one
 GREENER = 1.25  # than any other channel
 SIZES = (0.45, 2.2)  # of what is expected
 ROUNDNESS = 0.45
