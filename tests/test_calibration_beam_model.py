@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
-from laser_scenes import WATER_Z_M, air_rig, spot_points, stations, truth_rig
+from laser_scenes import WATER_Z_M, air_rig, spot_points, truth_rig
 from leadline.calibration.beam_model import by_length, by_names, expected
 from leadline.calibration.group_index import GROUP
 from leadline.calibration.laser import LASER
 from leadline.calibration.matches import misses_by_names, misses_px
-from leadline.calibration.refine import PortGuess, refine_stations, with_guessed_port
 from leadline.calibration.views import LAYER_NAMES, PORT_NAMES, POSE_NAMES, lens_names
 from leadline.rig import Rig
 from leadline.rig_parameters import get, replaced
@@ -64,12 +61,3 @@ def test_matches_against_differences() -> None:
         difference = (down - up) / (2 * step)
         scale = max(1.0, float(np.abs(difference).max()))
         np.testing.assert_allclose(analytic[:, i], difference, atol=3e-3 * scale, err_msg=name)
-
-
-def test_a_refinement_takes_a_second() -> None:
-    """Ten stations with 80 matches each: 0.5 s of one core."""
-    seen = stations(truth_rig(), WATER_Z_M, np.random.default_rng(1), matches=80)
-    rig = with_guessed_port(air_rig(), PortGuess(), None)
-    start = time.process_time()
-    refine_stations(rig, seen)
-    assert time.process_time() - start < 3

@@ -268,9 +268,9 @@ def test_a_folder_of_stills_that_is_not_enough(
     assert cli.main(call) == 1
     said = capsys.readouterr().out
     assert "NOT enough: 5 images in" in said
-    assert "15 boards more in all" in said
+    assert "19 boards more in all" in said
     assert "the same command goes on" in said
-    assert "Saved: image 5. 5 of 20. Hold the board" in said
+    assert "Saved: image 5. 5 of 24. Hold the board" in said
     assert len(read_calibration_folder(tmp_path / "out").pairs) == 5
 
 
