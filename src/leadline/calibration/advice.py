@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from leadline.calibration.board import Board
 from leadline.calibration.coverage import (
@@ -20,7 +19,7 @@ from leadline.calibration.coverage import (
     sees_in,
     stance_at,
 )
-from leadline.calibration.verdict import CELLS
+from leadline.calibration.verdict import cell_counts
 from leadline.geometry import Pose
 from leadline.rig import Rig, Side
 from leadline.rig_derivatives import SIDES, Medium, project
@@ -143,7 +142,10 @@ def _distance_m(coverage: Coverage, band: str) -> float:
 
 def _worth(coverage: Coverage, pixels: dict[Side, Array], band: str, tilt: str | None, size: tuple[int, int]) -> float:
     """How many of the missing things a board there would bring."""
-    cells = sum(float((_cells(pixels[side], size) & open_).sum()) for side, open_ in coverage.open_cells.items())
+    cells = sum(
+        float(((cell_counts(pixels[side], size) >= CELL_CORNERS) & open_).sum())
+        for side, open_ in coverage.open_cells.items()
+    )
     short: float = max(1 - coverage.bands[band] / EACH_BAND, 0.0)
     flat: float = 0.0 if tilt is None else max(1 - coverage.tilts[tilt] / EACH_TILT, 0.0)
     return float(_CELL_WORTH * cells + 2 * short + 2 * flat)
@@ -153,14 +155,6 @@ def _newness(coverage: Coverage, posed: Posed, rig: Rig) -> float:
     """How unlike all that there is."""
     stance: Stance = stance_at(posed.R, float(posed.middle_m[2]), posed.pixels["left"], rig.left)
     return min((stance.away(other) for other in coverage.stances), default=3.0)
-
-
-def _cells(pixels: Array, size: tuple[int, int]) -> NDArray[np.bool_]:
-    columns, rows = CELLS
-    place = np.floor(pixels / (size[0] / columns, size[1] / rows)).astype(int)
-    inside = ((place >= 0) & (place < (columns, rows))).all(axis=1)
-    counts = np.bincount(place[inside] @ (1, columns), minlength=rows * columns)
-    return np.asarray(counts.reshape(rows, columns) >= CELL_CORNERS)
 
 
 def _rim_m(board: Board, squares: float) -> Array:

@@ -66,15 +66,21 @@ def cross_check(calibration: CameraCalibration) -> Halves | None:
 
 def covered(views: Sequence[BoardView], size: tuple[int, int]) -> dict[str, Array]:
     """The number of corners in each cell (rows, columns) of the left and right image."""
-    columns, rows = CELLS
     out: dict[str, Array] = {}
     for side in SIDES:
         sets = [c.pixels for v in views if (c := v.corners(side)) is not None]
         if sets:
-            x, y = np.concatenate(sets).T
-            edges = [np.linspace(0, size[1], rows + 1), np.linspace(0, size[0], columns + 1)]
-            out[side] = np.histogram2d(y, x, bins=edges)[0]
+            out[side] = cell_counts(np.concatenate(sets), size)
     return out
+
+
+def cell_counts(pixels: Array, size: tuple[int, int]) -> Array:
+    """The number of pixels (n, 2) in each cell (rows, columns) of an image; those beside it are in none."""
+    columns, rows = CELLS
+    place = np.floor(pixels / (size[0] / columns, size[1] / rows)).astype(int)
+    inside = ((place >= 0) & (place < (columns, rows))).all(axis=1)
+    counts = np.bincount(place[inside] @ (1, columns), minlength=rows * columns)
+    return counts.reshape(rows, columns).astype(np.float64)
 
 
 def band_mm(calibration: CameraCalibration) -> Array:

@@ -1,6 +1,7 @@
 // The page of a guided capture: what to do next, what is thought of the picture, what is still missing.
 import { beep, drawPose, paintLook } from "/capture_draw.js";
 import { Connection } from "/connection.js";
+import { listen } from "/keys.js";
 import { Link } from "/link.js";
 import { drawPictures } from "/pictures.js";
 import { startTheme, toggleTheme } from "/theme.js";
@@ -147,10 +148,4 @@ byId("end_dialog").addEventListener("close", () => {
   if (byId("end_dialog").returnValue === "end") link.say({ do: "end" });
   byId("end_dialog").returnValue = "";
 });
-document.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("input") || document.querySelector("dialog[open]")) return;
-  const name = KEYS[event.key.toLowerCase()];
-  if (!name) return;
-  event.preventDefault();
-  actions[name]();
-});
+listen(KEYS, actions);

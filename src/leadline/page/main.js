@@ -1,5 +1,6 @@
 // The page: takes what the server says, shows it, and passes on what its user wants.
 import { Curves } from "/curves.js";
+import { listen } from "/keys.js";
 import { Link } from "/link.js";
 import { Map2 } from "/maps.js";
 import { drawPictures, overlay } from "/pictures.js";
@@ -71,11 +72,5 @@ byId("mark_dialog").addEventListener("close", () => {
   if (byId("mark_dialog").returnValue === "mark") link.say({ do: "mark", text: byId("mark_text").value });
   byId("mark_dialog").returnValue = "";
 });
-document.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("input") || document.querySelector("dialog[open]")) return;
-  const name = KEYS[event.key.toLowerCase()];
-  if (!name) return;
-  event.preventDefault();
-  actions[name]();
-});
+listen(KEYS, actions);
 setInterval(() => hello && redraw(), 1000); // the last message's curve too

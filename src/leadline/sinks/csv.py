@@ -10,7 +10,7 @@ from leadline.health import Part, State, Verdict
 from leadline.samples import Detection, Sample, Solution, StereoFrame
 from leadline.wire.solutions import HEADER, solution_row
 from leadline.wire.spool import Spool
-from leadline.wire.table import line
+from leadline.wire.table import rows_text
 
 KEPT_BYTES = 4 * 2**20  # rows that wait for room on a full disk: a quarter of an hour
 
@@ -56,4 +56,4 @@ class SolutionsCsv:
         self._spool.close()
 
     def _write(self, cells: Sequence[str]) -> None:
-        self._spool.append(line(cells))
+        self._spool.append(rows_text([cells]).encode())

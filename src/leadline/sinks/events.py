@@ -11,7 +11,7 @@ from leadline.samples import Detection, Sample, Solution, StereoFrame
 from leadline.sinks.control import Event
 from leadline.wire.spool import Spool
 from leadline.wire.stamps import format_stamp
-from leadline.wire.table import line
+from leadline.wire.table import rows_text
 
 HEADER = ("t_s", "text")
 
@@ -35,10 +35,10 @@ class EventsCsv:
         """Nothing."""
 
     def event(self, event: Event) -> None:
-        row = line((format_stamp(event.t_ns), event.text))
+        rows = [(format_stamp(event.t_ns), event.text)]
         if self._spool is None:
-            self._spool, row = Spool(self._path), line(HEADER) + row
-        self._spool.append(row)
+            self._spool, rows = Spool(self._path), [HEADER, *rows]
+        self._spool.append(rows_text(rows).encode())
 
     def close(self) -> None:
         if self._spool is not None:

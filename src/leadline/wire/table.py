@@ -7,6 +7,7 @@ import io
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 from leadline.errors import InputError
@@ -84,19 +85,15 @@ def _row(where: str, line: int, header: list[str], cells: list[str]) -> Row:
 
 
 def table_text(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    return rows_text(chain([header], rows))
+
+
+def rows_text(rows: Iterable[Sequence[str]]) -> str:
+    """Rows as they stand in a file."""
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
+    csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()
 
 
 def write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     path.write_text(table_text(header, rows), encoding="utf-8", newline="")
-
-
-def line(cells: Sequence[object]) -> bytes:
-    """A row as it stands in a file."""
-    row = io.StringIO()
-    csv.writer(row, lineterminator="\n").writerow(cells)
-    return row.getvalue().encode()
