@@ -39,6 +39,7 @@ class Filter:
         self._tracks: list[Track] = []  # those that ended, where all is kept
         self._turns = Turns(settings.horizon_s)
         self._turned_away: list[Measurement] = []
+        self._told: dict[int, Estimate] = {}  # since it last learned something
 
     @property
     def alive(self) -> bool:
@@ -47,6 +48,7 @@ class Filter:
     def stop(self) -> None:
         if self._history.keep:
             self._tracks.append(Track(self._model, self._history.all()))
+        self._told.clear()
         self._history = History(self._settings.horizon_s, self._history.keep)
         self._turned_away.clear()
 
@@ -65,6 +67,7 @@ class Filter:
 
     def add(self, t_ns: int, measurements: Sequence[Measurement]) -> tuple[list[Kind], list[Rejected]]:
         """Take measurements of one instant; an earlier one is put in its place and the rest replayed."""
+        self._told.clear()
         entry = self._history.insert(t_ns, tuple(measurements), self._apply)
         whole = [m for m in measurements if len(m.z) >= 3]  # those that fix the position by themselves
         recovered = bool(whole) and self._recover(entry, whole[0])
@@ -77,13 +80,16 @@ class Filter:
 
     def add_motion(self, motion: VehicleMotion) -> None:
         """How the vehicle moves: its rotation carries the predictions from now on, its velocity is a measurement."""
+        self._told.clear()
         self._turns.add(motion)
         if motion.velocity_m_s is not None and self.alive:
             self._history.insert(motion.t_ns, motion, self._apply)
 
     def at(self, t_ns: int) -> Estimate:
         """The state at a time: from all that was measured until then (and not after)."""
-        return self._predict(self._history.last(t_ns).after, t_ns).estimate()
+        if t_ns not in self._told:
+            self._told[t_ns] = self._predict(self._history.last(t_ns).after, t_ns).estimate()
+        return self._told[t_ns]
 
     def smoothed(self) -> Smoothed:
         """What was at each time, given all that was measured; for a filter that keeps it."""

@@ -33,6 +33,7 @@ class LaserSight:
         self._beam = BeamRanger(rig, target, config.beam)
         self._readings: deque[LaserRange] = deque(maxlen=32)
         self._dark: StereoFrame | None = None
+        self._aside: tuple[Estimate, Aside] | None = None  # the last, which is asked for again
         self.calibration_variance_m2 = self._beam.calibration_variance_m2
 
     def take(self, sample: LaserRange, unseen: Aside | None) -> Measurement:
@@ -56,7 +57,9 @@ class LaserSight:
 
     def aside(self, believed: Estimate) -> Aside:
         """What a beam tells of a target that is not seen."""
-        return Aside(self._target, self._laser, believed)
+        if self._aside is None or self._aside[0] is not believed:
+            self._aside = believed, Aside(self._target, self._laser, believed)
+        return self._aside[1]
 
     def length(self, sample: LaserRange) -> Length:
         """The beam's length by the device."""

@@ -106,10 +106,12 @@ class StereoRanger:
             steps, reach_px = (coarse, fine), FIRST_REACH_PX
         else:
             steps, reach_px = (fine, fine), self._reach(pair.rig, prior, fine)
+        left: Region | None = None
         for level in steps:
             if found is None:
                 return "no shape through the patches"
-            left = self._left(pair, box, level)
+            if left is None or left.level != level:
+                left = self._left(pair, box, level)
             seen = self._match(pair, left, box, self._length_at(found, points), reach_px)
             points = seen.points
             if len(points.length_m) < self._settings.min_agreed:
