@@ -147,7 +147,7 @@ def clean(hours: float, first: int = 1000) -> bool:
     """Dives of their own without a fault, until they are so long; prints each flag. Whether they are rare enough."""
     passed_s, flags, silent, seed = 0.0, 0, 0, first
     while passed_s < hours * 3600:
-        film, never = footage(seed=seed), Window(Part.OUTPUT, "off", SECONDS, SECONDS)
+        film, never = footage(seed=seed), Window(Part.DETECTOR, "off", SECONDS, SECONDS)  # whom the localizer asks
         events, wrong, _ = _dive(film, never, [], seed, blind=False)
         told = [event for event in events if not event.ok]
         for event in told:

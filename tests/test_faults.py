@@ -1,7 +1,7 @@
 """Each part fails in each way in a dive that runs as live: told in time and over in time (``make faults``).
 
-The short form has no localizer and pictures of noise: what only a localizer can contradict (a shifted picture, a
-laser that is off by a step) is in the long form, the table itself.
+The short form has no localizer and pictures of noise, but for what only a localizer can contradict (a shifted picture,
+a laser that is off by a step); the long form is the table itself.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks.faults import CONTRADICTED, LASTS_S, MODES, Seen, main, watch
-from benchmarks.faults_dive import Footage
+from benchmarks.faults_dive import Footage, footage
 
 from leadline.geometry import Camera
 from leadline.health import Part
@@ -66,13 +66,28 @@ def seen(part: Part, mode: Mode, seed: int) -> Seen:
 @pytest.mark.parametrize("part", list(Part))
 def test_a_fault_is_told_and_is_over_in_time(part: Part, mode: Mode) -> None:
     if (part, mode) in CONTRADICTED:
-        pytest.skip("needs the localizer: the long form")
+        pytest.skip("needs the localizer: below")
     found = seen(part, mode, MODES.index(mode))
     assert not found.false, found
     if (part, mode) == (Part.LASER, "intermittent"):  # half of 3 readings a second lost at random: see health/pace.py
         assert found.flagged_s is not None
         assert found.flagged_s < LASTS_S, found
         return
+    assert found.in_time, found
+    assert found.over_in_time, found
+
+
+@cache
+def rendered() -> Footage:
+    return footage()
+
+
+@pytest.mark.parametrize(("part", "mode"), sorted({*CONTRADICTED, (Part.DETECTOR, "garbage")}))
+def test_what_only_a_localizer_can_contradict(part: Part, mode: Mode) -> None:
+    if mode == "delayed":
+        pytest.skip("told only while the target moves in the picture: test_live_health has one that does")
+    found = watch(rendered(), part, mode, MODES.index(mode))
+    assert (found.false, found.silent) == (0, 0), found
     assert found.in_time, found
     assert found.over_in_time, found
 

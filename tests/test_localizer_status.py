@@ -81,6 +81,24 @@ def test_detections_stop_and_it_goes_on_where_the_target_must_be() -> None:
         assert s.range_m == pytest.approx(DIVE.truth_at(s.t_ns).range_m, abs=0.010)
 
 
+@pytest.mark.parametrize("far", [1e-3, 1e3, 1e9, np.nan, np.inf])
+def test_boxes_that_are_none_are_as_if_there_were_none(far: float) -> None:
+    class Mad:
+        """True boxes until a time, then of any size, also below nothing, and anywhere."""
+
+        def __init__(self) -> None:
+            self._boxes, self._rng = TrueBoxes(DIVE), np.random.default_rng(0)
+
+        def find(self, frame: StereoFrame) -> list[Detection]:
+            if frame.t_s < STOP_S:
+                return self._boxes.find(frame)
+            x, y, width, height = (float(v) for v in 700 + far * self._rng.uniform(-3, 3, 4))
+            return [Detection((x, y, -width, height), 0.9), Detection((x, y, width, -height), 0.8)]
+
+    solutions = [steps(Localizer(DIVE.rig, BALL, finder), samples(DIVE)) for finder in (UpTo(STOP_S), Mad())]
+    assert [one.range_m for one in solutions[0]] == [one.range_m for one in solutions[1]]
+
+
 def test_everything_stops_coasting_then_lost_within_the_configured_times() -> None:
     inputs: list[Sample] = [darkened(f) if f.t_s > STOP_S else f for f in frames()]
     solutions = steps(Localizer(DIVE.rig, BALL, TrueBoxes(DIVE)), inputs)

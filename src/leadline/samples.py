@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 NS_PER_S = 1_000_000_000
+LARGEST_BOX = 1.2  # of the picture's width or height
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +91,13 @@ class Detection:
     score: float
     label: str = "target"
 
+    def is_in(self, image: Image) -> bool:
+        """Whether it can be a box of this picture: it lies in it, at least in part, and is hardly larger; not NaN."""
+        x, y, width, height = self.box_px
+        rows, columns = image.shape[:2]
+        large = 0 < width <= LARGEST_BOX * columns and 0 < height <= LARGEST_BOX * rows
+        return bool(large and -width < x < columns and -height < y < rows)
+
 
 @dataclass(frozen=True, slots=True)
 class Truth:
@@ -131,12 +139,16 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True)
 class Rejected:
-    """A measurement that was turned away, and why; ``nis``: its normalised innovation squared, if one was formed."""
+    """A measurement that was turned away, and why; ``nis``: its normalised innovation squared, if one was formed.
+
+    ``camera``: whose picture it is, where the other's was taken.
+    """
 
     kind: Kind
     t_ns: int
     reason: str
     nis: float | None = None
+    camera: str = ""
 
 
 class Stage(IntEnum):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -42,7 +42,7 @@ class Boxes:
         self._last, self._picture = boxes, picture
         if self._repeats >= 2:
             return State.STUCK, "the same box in other pictures"
-        if any(not _inside(box, frame) for box in boxes):
+        if not all(detection.is_in(frame.left) for detection in detections):
             return State.GARBAGE, "a box that is not in the picture"
         if expected_px is None:
             return None
@@ -53,12 +53,6 @@ class Boxes:
         x, y, width, height = min(boxes, key=lambda box: _off(box, expected_px))
         middle_px = np.array([x + width / 2, y + height / 2])
         return self._lateness.judge(frame.t_ns, middle_px, max(width, height), np.array(expected_px))
-
-
-def _inside(box: Box, frame: StereoFrame) -> bool:
-    x, y, width, height = box
-    rows, columns = int(frame.left.shape[0]), int(frame.left.shape[1])
-    return 0 < width <= 1.2 * columns and 0 < height <= 1.2 * rows and -width < x < columns and -height < y < rows
 
 
 def _off(box: Box, point_px: tuple[float, float]) -> float:
@@ -77,11 +71,15 @@ class Contradictions:
         self._laser_ns = self._vision_ns = -(10**18)  # when each was last taken
         self._matches: deque[bool] = deque(maxlen=BEFORE + APART)  # frames with the target: did left and right fit?
         self._apart = False
+        self._whole = 0  # frames in which both pictures showed the target alike
+        self._doubts: Counter[str] = Counter()  # by camera: frames on end that do not show it where the other does
 
     def see(self, solution: Solution) -> None:
         rejected = {one.kind for one in solution.rejected}
         self._match(solution, Kind.STEREO in rejected)
-        if Kind.LASER in solution.used or Kind.LASER in rejected:
+        self._doubt(solution)
+        refuted = {one.kind for one in solution.rejected if one.nis is not None}  # not: beside the target, too late
+        if Kind.LASER in solution.used or Kind.LASER in refuted:
             self._laser.append(Kind.LASER not in solution.used)
             self._prove(Kind.LASER, self._laser, READINGS)
         if Kind.LASER in solution.used:
@@ -90,8 +88,15 @@ class Contradictions:
             self._vision_ns = solution.t_ns
             self._vision.append(False)
             self._prove(Kind.STEREO, self._vision, FRAMES)
-        elif VISION & rejected and any(one.nis is not None for one in solution.rejected if one.kind in VISION):
+        elif VISION & refuted:
             self._vision.append(True)
+
+    def _doubt(self, solution: Solution) -> None:
+        if not VISION & set(solution.used):
+            return
+        named = {one.camera for one in solution.rejected if one.camera and Kind.STEREO not in solution.used}
+        self._whole += not named
+        self._doubts = Counter({camera: self._doubts[camera] + 1 for camera in named})
 
     def _match(self, solution: Solution, failed: bool) -> None:
         """Left and right that fitted, and from one moment on do not, while the rest of the picture is still good."""
@@ -125,6 +130,8 @@ class Contradictions:
             if seen and self._refuted(Kind.LASER, self._laser, READINGS, AGAINST):
                 return State.WRONG, "its readings contradict what the cameras see"
             return None
+        if self._doubts[part.value] >= APART and self._whole >= MATCHED:
+            return State.WRONG, "does not show the target where the other camera has it"
         if self._apart:
             return State.WRONG, "left and right do not fit together any more: one of them is wrong"
         read = now_ns - self._laser_ns < RECENT_S * NS_PER_S

@@ -104,7 +104,7 @@ class Localizer:
         frame = self._fresh(frame)
         self._lag_ns = max(self._newest_reading_ns - frame.t_ns, 0)
         self.detections = self._finder.find(frame)
-        box = self._where(t_ns, before)
+        box = self._where(t_ns, before, [one for one in self.detections if one.is_in(frame.left)])
         if box is None and before is None:
             return self._solution(frame.t_ns, [], [])
         skew = skew_of(frame, self._target, before, self._motion, self._config.filter.initial_speed_m_s)
@@ -285,17 +285,15 @@ class Localizer:
         if self._filter.alive and t_ns - last > self._config.status.lost_after_s * NS_PER_S:
             self._forget()
 
-    def _where(self, t_ns: int, before: Estimate | None) -> Box | None:
+    def _where(self, t_ns: int, before: Estimate | None, found: Sequence[Detection]) -> Box | None:
         """The target's box: a detection that goes on from where it was, else where it must still be."""
+        outline = None
         if before is None:
             self._track.forget()
-            return self._track.follow(t_ns, self.detections, None, self._hit_px())
-        outline = expected(self._rig, self._target, before)
-        return self._track.follow(t_ns, self.detections, outline, self._hit_px())
-
-    def _hit_px(self) -> tuple[float, float] | None:
-        """Where the beam ends, for whoever has to choose between detections."""
-        return self._sight.beam_px() if len(self.detections) > 1 else None
+        else:
+            outline = expected(self._rig, self._target, before)
+        hit_px = self._sight.beam_px() if len(found) > 1 else None  # for whoever has to choose between detections
+        return self._track.follow(t_ns, found, outline, hit_px)
 
     def _start(self, t_ns: int, measurements: Sequence[Measurement]) -> bool:
         """Begin a track: wide, where the first measurement that fixes a position has it."""

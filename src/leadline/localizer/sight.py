@@ -133,7 +133,9 @@ class Sight:
             if isinstance(stereo, Rejected) and not isinstance(size, Measurement):
                 stereo = self._stereo.measure(t_ns, pair, box, None)
                 size = self._outline_at(t_ns, pair, stereo, size)
-        return [stereo] if size is None else [size, stereo]
+        if size is None or self._outline is None:
+            return [stereo]
+        return [size, stereo, *self._outline.doubted(pair, size)]
 
     def _outline_at(self, t_ns: int, pair: Pair, stereo: Measurement | Rejected, size: Size) -> Size:
         """A ball's outline where stereo has it; the one found before (``size``), where it has none."""

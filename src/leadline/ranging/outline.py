@@ -39,6 +39,8 @@ ITERATIONS = 15
 MAX_CONDITION = 1e7
 AGREED_SIGMAS, MIN_AGREED = 3.0, 0.4
 SIDES: tuple[Side, ...] = ("left", "right")
+ENDS = np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0]])
+DARK = 16  # pixels between those that tell whether a picture is all black
 TURN = np.stack([f(np.arange(EDGES) * (2 * np.pi / EDGES)) for f in (np.cos, np.sin)], axis=1)
 
 AHEAD, BEHIND = ((np.arange(EDGES) + by) % EDGES for by in (1, -1))
@@ -94,6 +96,18 @@ class OutlineRanger:
         ball, cov, common, cameras = found
         eye = np.eye(len(ball))
         return Measurement(Kind.SIZE, t_ns, ball, cov, lambda x: (x, eye), common, cameras)
+
+    def doubted(self, pair: Pair, found: Measurement | Rejected) -> list[Rejected]:
+        """A picture that must show all of the ball, and does not show it where the other one does."""
+        if isinstance(found, Rejected) or len(found.cameras) != 1:
+            return []
+        side: Side = "right" if "left" in found.cameras else "left"
+        image = pair.left_image if side == "left" else pair.right_image
+        ends_px = pair.rig.project_one(found.z[:3] + self._target.radius_m(found.z) * ENDS, side)
+        is_whole = bool(((ends_px > 0) & (ends_px < image.shape[1::-1])).all())  # not so where NaN
+        if not is_whole or not image[::DARK, ::DARK].any():
+            return []
+        return [Rejected(Kind.SIZE, found.t_ns, f"the {side} picture does not show it there", camera=side)]
 
     def _settle(self, pair: Pair, sides: Sequence[Side], ball: Array, reach: float) -> Fitted | str:
         """Fit until the normals start from where the ball is found, so that none is cut short."""
