@@ -228,3 +228,20 @@ def test_pictures_that_stand_still_do_not_hold_the_target(noisy: bool) -> None:
         assert "disagrees while all others agree" in {r.reason for s in late for r in s.rejected}
     else:
         assert {kind for s in late for kind in s.used} <= {Kind.LASER}
+
+
+@pytest.mark.parametrize("aside_px", [-3, 3, 5])
+def test_a_shifted_picture_from_the_start_is_not_confirmed_by_itself(aside_px: int) -> None:
+    """Both outlines triangulate a ball of unknown size, as stereo does: the two are no witnesses of each other."""
+    dive = dive_of("demo")
+
+    def shifted(one: Sample) -> Sample:
+        if not isinstance(one, StereoFrame):
+            return one
+        return dataclasses.replace(one, right=np.roll(one.right, aside_px, axis=1))
+
+    solutions, _ = solve(dive, map(shifted, samples(dive)), Sphere())
+    first = [s for s in solutions if s.status is Status.VALID][:8]
+    off, sigma = errors(first, dive)
+    assert silent(off, sigma) == 0, (off, sigma)
+    assert np.abs(off).max() > 0.05  # it does spoil what stereo says

@@ -109,7 +109,8 @@ class Sight:
         """What vision measures is no better than its calibration: it must not turn the laser away for that."""
         cov = measurement.cov.copy()
         cov[:3, :3] += self.calibration.at(measurement.z[:3])
-        cameras = BOTH if measurement.kind is Kind.STEREO else measurement.cameras
+        triangulated = measurement.kind is Kind.STEREO or len(self._target.shape_mean) > 0  # no size says how far it is
+        cameras = BOTH if triangulated else measurement.cameras
         honest = replace(measurement, cov=cov, cameras=cameras)
         return skew.widened(honest, self._rig, not isinstance(self._target, Sphere))
 
