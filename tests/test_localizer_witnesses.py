@@ -33,17 +33,17 @@ class Dive:
 
     def __init__(self) -> None:
         self.witnesses, self._t_ns, self._range_m = Witnesses(BALL, 0.05), 0, 1.0
-        self.witnesses.moved(0, None, estimate(1.0))
+        self.witnesses.moved(0, 0, None, estimate(1.0))
 
     def instant(self, *words: Evidence, moved_m: float = 0.0) -> float:
         """The sigma (m) that these words leave."""
         self._t_ns += NS_PER_S // 10
         before = estimate(self._range_m, self._t_ns)
         self._range_m += moved_m
-        self.witnesses.moved(self._t_ns, before, estimate(self._range_m, self._t_ns))
+        self.witnesses.moved(self._t_ns, self._t_ns, before, estimate(self._range_m, self._t_ns))
         for word in words:
             self.witnesses.hear(word)
-        return float(self.witnesses.variance_m2() ** 0.5)
+        return float(self.witnesses.variance_m2(self._t_ns) ** 0.5)
 
 
 def agreeing(count: int = 20) -> Dive:
@@ -157,3 +157,13 @@ def test_words_are_along_the_sight_and_the_lasers_clock_counts() -> None:
         )
         is None
     )
+
+
+def test_a_time_before_the_last_correction_is_without_it() -> None:
+    dive = agreeing()
+    dive.instant(said(Kind.LASER, 0.0, 0.003), moved_m=-0.3)
+    dive.instant(said(Kind.STEREO, 0.0, 0.001), said(Kind.SIZE, 0.0, 0.01))
+    now_ns = 22 * NS_PER_S // 10
+    late_m, now_m = (dive.witnesses.variance_m2(t_ns) ** 0.5 for t_ns in (now_ns - NS_PER_S // 5, now_ns))
+    assert now_m < 0.01
+    assert late_m == pytest.approx(0.3)

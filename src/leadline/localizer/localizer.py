@@ -157,7 +157,7 @@ class Localizer:
 
     def _hear(self, t_ns: int, found: Sequence[Measurement], now_ns: int, believed: Estimate | None) -> None:
         """What the measurements of a time say of the filter's estimate, as it is now that it had them."""
-        self._witnesses.moved(now_ns, believed, self._filter.at(now_ns))
+        self._witnesses.moved(t_ns, now_ns, believed, self._filter.at(now_ns))
         x = self._filter.at(t_ns)
         slack_m2 = self._laser.aside(x).variance_m2 if self._laser is not None and self._blind(t_ns) else 0.0
         seen_m2 = self._seen_m2(x) if any(one.kind is not Kind.LASER for one in found) else 0.0
@@ -357,7 +357,7 @@ class Localizer:
             along = 1 / (1 / along + 1 / (status.laser_bias_m**2 + self._laser.calibration_variance_m2))
             if self._blind(estimate.t_ns):
                 along += self._laser.aside(estimate).variance_m2
-        along += max(self._agreement.variance_m2, self._witnesses.variance_m2())
+        along += max(self._agreement.variance_m2, self._witnesses.variance_m2(estimate.t_ns))
         across = np.eye(3) - np.outer(sight, sight)
         common = np.zeros((len(estimate.x), len(estimate.x)))
         common[:3, :3] = across @ calibration @ across + along * np.outer(sight, sight)

@@ -15,6 +15,7 @@ satellite receivers watch over themselves (solution separation: Brown and McBurn
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import sqrt
@@ -33,6 +34,7 @@ APART = 3.0  # sigmas off the filter that an account is for sure
 SPEED_M_S = 0.4  # how fast what one witness says may run away from what the filter says
 LASTS_NS = NS_PER_S  # a witness counts so long
 DISCREDITED_NS = 4 * NS_PER_S  # an account that had to begin again explains nothing for so long
+MOVES = 16  # corrections that are remembered
 LEAST_SLOPE = 0.3  # a beam that hardly grows with the distance is no witness of it
 
 
@@ -162,13 +164,14 @@ class Witnesses:
         self._heard: set[str] = set()
         self._now_ns: int | None = None
         self._since_ns = 0
+        self._moves: deque[tuple[int, float]] = deque(maxlen=MOVES)  # stamp of what was measured, how far it moved
 
     def now_ns(self, t_ns: int) -> int:
         """The newest time that was heard of, this one included."""
         return t_ns if self._now_ns is None else max(t_ns, self._now_ns)
 
-    def moved(self, now_ns: int, before: Estimate | None, after: Estimate) -> None:
-        """Measurements were taken, and the filter's estimate for now is another; before: None where it just began."""
+    def moved(self, t_ns: int, now_ns: int, before: Estimate | None, after: Estimate) -> None:
+        """Measurements of a time were taken, and the filter's estimate for now is another; before: None at first."""
         if self._now_ns is None:
             self._now_ns = self._since_ns = now_ns
         dt_s = (now_ns - self._now_ns) / NS_PER_S
@@ -176,6 +179,7 @@ class Witnesses:
         if before is None:
             return
         (m, m_s), (was_m, was_m_s) = self._distance_and_speed(after), self._distance_and_speed(before)
+        self._moves.append((t_ns, m - was_m))
         for account in self._accounts.values():
             account.go_on(dt_s)
             account.filter_moved(m - was_m, m_s - was_m_s)
@@ -209,17 +213,22 @@ class Witnesses:
                 return True
         return False
 
-    def variance_m2(self) -> float:
-        """What the stated variance of the distance must have besides."""
+    def variance_m2(self, t_ns: int) -> float:
+        """What the stated variance of a distance must have besides, that is told for a time.
+
+        Where later readings were there first, the filter's estimate for the time is without them, and the accounts are
+        not: what they moved it by is no less uncertain.
+        """
         if self._now_ns is None:
             return 0.0
+        since_m = sum(by_m for taken_ns, by_m in self._moves if taken_ns > t_ns)
         now_ns = self._now_ns
         accounts = {s: self._accounts[s] for s in self._heard if self._accounts[s].begun}
         least = max((a.allowed_m for s, a in accounts.items() if s != PICTURES), default=0.0) / ALLOWED
         harmonic = [a for a in accounts.values() if a.in_harmony(now_ns)]
         agreed = len(harmonic) == len(accounts)
         telling = [a for a in harmonic if a.apart] if agreed else harmonic or accounts.values()
-        return max([least**2, *(a.expected_m2(now_ns) for a in telling)])
+        return max([since_m**2, least**2, *(a.expected_m2(now_ns) for a in telling)])
 
     def evidence(self, m: Measurement, x: Estimate, common_m2: float, slack_m2: float = 0.0) -> Evidence | None:
         """What a measurement says against the estimate of its time; slack: how far the target may be aside."""
