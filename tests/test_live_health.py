@@ -258,7 +258,7 @@ def test_images_that_stop_fitting_are_wrong_and_either_may_be() -> None:
     states = []
     for i in range(60):
         bad = 20 <= i < 40
-        used = (Kind.SIZE, Kind.SPOT) if bad else (Kind.SIZE, Kind.STEREO)
+        used = (Kind.SPOT,) if bad else (Kind.SPOT, Kind.STEREO)
         seen = solution(i / 10, used, (Kind.STEREO,) if bad else ())
         health.sample(StereoFrame(seen.t_ns, picture(i % 20, _RNG), picture(9 + i % 20, _RNG)))
         health.solved(replace(seen, range_m=1.5), seen.t_ns)
@@ -266,6 +266,35 @@ def test_images_that_stop_fitting_are_wrong_and_either_may_be() -> None:
     assert states[19] == (State.OK, State.OK)
     assert states[25] == (State.WRONG, State.WRONG)
     assert states[59] == (State.OK, State.OK)
+
+
+@pytest.mark.parametrize("doubted", [True, False])
+def test_of_a_ball_its_outlines_tell_which_camera_is_wrong(doubted: bool) -> None:
+    """A texture that is lost for seconds is no fault; a camera that does not show the ball where the other does, is."""
+    health = Health([Part.LEFT, Part.RIGHT])
+    states = []
+    for i in range(60):
+        bad = 20 <= i < 40
+        seen = solution(i / 10, (Kind.SIZE,) if bad else (Kind.SIZE, Kind.STEREO), (Kind.STEREO,) if bad else ())
+        if bad and doubted:
+            seen = replace(seen, rejected=(*seen.rejected, Rejected(Kind.SIZE, seen.t_ns, "not there", camera="right")))
+        health.sample(StereoFrame(seen.t_ns, picture(i % 20, _RNG), picture(9 + i % 20, _RNG)))
+        health.solved(replace(seen, range_m=1.5), seen.t_ns)
+        states.append((health.state(Part.LEFT), health.state(Part.RIGHT)))
+    assert states[19] == states[59] == (State.OK, State.OK)
+    assert states[25] == (State.OK, State.WRONG if doubted else State.OK)
+
+
+def test_a_beam_beside_the_target_is_no_contradiction() -> None:
+    health = Health([Part.LEFT, Part.RIGHT, Part.LASER])
+    for sample in dive(12.0, 0):
+        health.sample(sample)
+        if isinstance(sample, LaserRange):
+            beside = Rejected(Kind.LASER, sample.t_ns, "cannot come from this target")
+            health.solved(replace(solution(sample.t_s, (), ()), rejected=(beside,)), 0)
+        else:
+            health.solved(solution(sample.t_s, (Kind.STEREO,), ()), 0)
+    assert health.state(Part.LASER) is State.OK
 
 
 def test_what_is_reported_stands_until_it_is_taken_back() -> None:

@@ -99,11 +99,14 @@ class Contradictions:
         self._doubts = Counter({camera: self._doubts[camera] + 1 for camera in named})
 
     def _match(self, solution: Solution, failed: bool) -> None:
-        """Left and right that fitted, and from one moment on do not, while the rest of the picture is still good."""
+        """Left and right that fitted, and from one moment on do not, while the rest of the picture is still good.
+
+        Of a ball its outlines tell it better (``_doubt``): its texture may be lost for seconds, as it turns.
+        """
         if Kind.STEREO in solution.used:
             self._matches.append(True)
             self._apart = False
-        elif failed:
+        elif failed and Kind.SIZE not in solution.used:
             self._matches.append(False)
             near = solution.range_m is None or solution.range_m < NEAREST_M
             self._apart = self._apart or (self._broke() and not near and bool(solution.used))
