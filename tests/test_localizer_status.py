@@ -10,7 +10,18 @@ import pytest
 
 from leadline.config import Config
 from leadline.localizer import Localizer
-from leadline.samples import NS_PER_S, Detection, Kind, LaserRange, Sample, Solution, Stage, Status, StereoFrame
+from leadline.samples import (
+    NS_PER_S,
+    Detection,
+    Kind,
+    LaserRange,
+    Sample,
+    Solution,
+    Stage,
+    Status,
+    StereoFrame,
+    VehicleMotion,
+)
 from leadline.target import Sphere
 from short_dives import TrueBoxes, cut, samples
 
@@ -97,6 +108,16 @@ def test_boxes_that_are_none_are_as_if_there_were_none(far: float) -> None:
 
     solutions = [steps(Localizer(DIVE.rig, BALL, finder), samples(DIVE)) for finder in (UpTo(STOP_S), Mad())]
     assert [one.range_m for one in solutions[0]] == [one.range_m for one in solutions[1]]
+
+
+def test_samples_that_are_no_numbers_are_as_if_there_were_none() -> None:
+    spoilt: list[Sample] = []
+    for one in samples(DIVE):
+        spoilt.append(one)
+        spoilt += [LaserRange(one.t_ns, range_m) for range_m in (np.nan, np.inf, 0.0, -1.0)]
+        spoilt.append(VehicleMotion(one.t_ns, velocity_m_s=(0.0, np.nan, 0.0), rotation_rad_s=(np.inf, 0.0, 0.0)))
+    dives = [steps(Localizer(DIVE.rig, BALL, TrueBoxes(DIVE)), inputs) for inputs in (samples(DIVE), spoilt)]
+    assert [one.range_m for one in dives[0]] == [one.range_m for one in dives[1]]
 
 
 def test_everything_stops_coasting_then_lost_within_the_configured_times() -> None:

@@ -79,6 +79,10 @@ class VehicleMotion:
     def t_s(self) -> float:
         return self.t_ns / NS_PER_S
 
+    @property
+    def is_finite(self) -> bool:
+        return bool(np.isfinite([*(self.velocity_m_s or ()), *(self.rotation_rad_s or ())]).all())
+
 
 Sample = StereoFrame | LaserRange | VehicleMotion
 

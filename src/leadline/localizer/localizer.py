@@ -87,11 +87,12 @@ class Localizer:
         self.detections: list[Detection] = []  # of the last frame, for those who draw
 
     def step(self, sample: Sample) -> Solution | None:
-        """Take a sample; a solution at its time, or None: for a reading while there is no target, for a motion."""
+        """Take a sample; a solution at its time, or None: for a motion, for a reading that is none or has no target."""
         if isinstance(sample, LaserRange):
-            return self._take_reading(sample)
+            return self._take_reading(sample) if 0 < sample.range_m < np.inf else None
         if isinstance(sample, VehicleMotion):
-            self._take_motion(sample)
+            if sample.is_finite:
+                self._take_motion(sample)
             return None
         return self._take_frame(sample)
 
