@@ -61,6 +61,51 @@ def _off(box: Box, point_px: tuple[float, float]) -> float:
     return max(abs(point_px[0] - x - width / 2) / (width / 2), abs(point_px[1] - y - height / 2) / (height / 2)) / 2
 
 
+class LeftAndRight:
+    """Two pictures that showed one thing, and from one moment on do not, while the rest of the picture is still good.
+
+    Of a ball the outlines tell, and in which camera it is not where the other one has it: its texture may be lost for
+    seconds, as it turns. Of other targets the matches tell, if they were many before.
+    """
+
+    def __init__(self) -> None:
+        self._matches: deque[bool] = deque(maxlen=BEFORE + APART)  # frames with the target
+        self._apart = False
+        self._whole = 0  # frames in which both showed it alike
+        self._doubts: Counter[str] = Counter()  # by camera: frames on end that do not show it where the other does
+
+    def see(self, solution: Solution) -> None:
+        if Kind.STEREO in solution.used:
+            self._matches.append(True)
+            self._alike()
+        elif doubted := {one.camera for one in solution.rejected if one.camera}:
+            self._doubts = Counter({camera: self._doubts[camera] + 1 for camera in doubted})
+        elif Kind.SIZE in solution.used:
+            self._alike()
+        elif any(one.kind is Kind.STEREO for one in solution.rejected):
+            self._matches.append(False)
+            near = solution.range_m is None or solution.range_m < NEAREST_M
+            self._apart = self._apart or (self._broke() and not near and bool(solution.used))
+
+    def _alike(self) -> None:
+        self._whole += 1
+        self._apart = False
+        self._doubts.clear()
+
+    def _broke(self) -> bool:
+        """A target with too little texture, or too far away, matches now and then: that is not an end of it."""
+        before, last = list(self._matches)[:-APART], list(self._matches)[-APART:]
+        missed = len(before) - sum(before)
+        return not any(last) and sum(before) >= MATCHED and missed <= len(before) // 8
+
+    def verdict(self, part: Part) -> Verdict:
+        if self._doubts[part.value] >= APART and self._whole >= MATCHED:
+            return State.WRONG, "does not show the target where the other camera has it"
+        if self._apart:
+            return State.WRONG, "left and right do not fit together any more: one of them is wrong"
+        return None
+
+
 class Contradictions:
     """Measurements turned away again and again while another sensor's are taken."""
 
@@ -69,15 +114,10 @@ class Contradictions:
         self._vision: deque[bool] = deque(maxlen=UNPROVEN * FRAMES)
         self._proven: set[Kind] = set()
         self._laser_ns = self._vision_ns = -(10**18)  # when each was last taken
-        self._matches: deque[bool] = deque(maxlen=BEFORE + APART)  # frames with the target: did left and right fit?
-        self._apart = False
-        self._whole = 0  # frames in which both pictures showed the target alike
-        self._doubts: Counter[str] = Counter()  # by camera: frames on end that do not show it where the other does
+        self._pair = LeftAndRight()
 
     def see(self, solution: Solution) -> None:
-        rejected = {one.kind for one in solution.rejected}
-        self._match(solution, Kind.STEREO in rejected)
-        self._doubt(solution)
+        self._pair.see(solution)
         refuted = {one.kind for one in solution.rejected if one.nis is not None}  # not: beside the target, too late
         if Kind.LASER in solution.used or Kind.LASER in refuted:
             self._laser.append(Kind.LASER not in solution.used)
@@ -90,32 +130,6 @@ class Contradictions:
             self._prove(Kind.STEREO, self._vision, FRAMES)
         elif VISION & refuted:
             self._vision.append(True)
-
-    def _doubt(self, solution: Solution) -> None:
-        if not VISION & set(solution.used):
-            return
-        named = {one.camera for one in solution.rejected if one.camera and Kind.STEREO not in solution.used}
-        self._whole += not named
-        self._doubts = Counter({camera: self._doubts[camera] + 1 for camera in named})
-
-    def _match(self, solution: Solution, failed: bool) -> None:
-        """Left and right that fitted, and from one moment on do not, while the rest of the picture is still good.
-
-        Of a ball its outlines tell it better (``_doubt``): its texture may be lost for seconds, as it turns.
-        """
-        if Kind.STEREO in solution.used:
-            self._matches.append(True)
-            self._apart = False
-        elif failed and Kind.SIZE not in solution.used:
-            self._matches.append(False)
-            near = solution.range_m is None or solution.range_m < NEAREST_M
-            self._apart = self._apart or (self._broke() and not near and bool(solution.used))
-
-    def _broke(self) -> bool:
-        """A target with too little texture, or too far away, matches now and then: that is not an end of it."""
-        before, last = list(self._matches)[:-APART], list(self._matches)[-APART:]
-        missed = len(before) - sum(before)
-        return not any(last) and sum(before) >= MATCHED and missed <= len(before) // 8
 
     def _prove(self, kind: Kind, against: deque[bool], count: int) -> None:
         if len(against) >= count and not any(list(against)[-count:]):
@@ -133,10 +147,8 @@ class Contradictions:
             if seen and self._refuted(Kind.LASER, self._laser, READINGS, AGAINST):
                 return State.WRONG, "its readings contradict what the cameras see"
             return None
-        if self._doubts[part.value] >= APART and self._whole >= MATCHED:
-            return State.WRONG, "does not show the target where the other camera has it"
-        if self._apart:
-            return State.WRONG, "left and right do not fit together any more: one of them is wrong"
+        if (apart := self._pair.verdict(part)) is not None:
+            return apart
         read = now_ns - self._laser_ns < RECENT_S * NS_PER_S
         if read and self._refuted(Kind.STEREO, self._vision, FRAMES, FRAMES_AGAINST):
             return State.WRONG, "what the cameras see contradicts the laser: one of them is wrong"
