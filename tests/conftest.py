@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import cv2
 import pytest
 
 cv2.setNumThreads(1)  # the suite runs on several processes already
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # so a shell starts what goes on in its background
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # else no program that a test starts could be interrupted
 
 
 @pytest.fixture(scope="session")

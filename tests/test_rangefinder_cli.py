@@ -27,8 +27,8 @@ def test_its_port_gives_readings_until_it_is_stopped() -> None:
             readings += [one.range_m for one in laser.read() if isinstance(one, LaserRange)]
         laser.close()
         device.send_signal(signal.SIGINT)
-        assert "readings sent" in device.stdout.read()
-        assert device.wait(10) == 0
+        assert "readings sent" in device.communicate(timeout=20)[0]
+        assert device.returncode == 0
     assert address.endswith("?protocol=jrt")
     assert readings[:3] == [1.25] * 3
 

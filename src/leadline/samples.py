@@ -95,10 +95,9 @@ class Detection:
     score: float
     label: str = "target"
 
-    def is_in(self, image: Image) -> bool:
-        """Whether it can be a box of this picture: it lies in it, at least in part, and is hardly larger; not NaN."""
+    def is_in(self, columns: int, rows: int) -> bool:
+        """Whether it can be of a picture so large: it lies in it, at least in part, and is hardly larger; not NaN."""
         x, y, width, height = self.box_px
-        rows, columns = image.shape[:2]
         large = 0 < width <= LARGEST_BOX * columns and 0 < height <= LARGEST_BOX * rows
         return bool(large and -width < x < columns and -height < y < rows)
 

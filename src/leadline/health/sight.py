@@ -42,7 +42,8 @@ class Boxes:
         self._last, self._picture = boxes, picture
         if self._repeats >= 2:
             return State.STUCK, "the same box in other pictures"
-        if not all(detection.is_in(frame.left) for detection in detections):
+        rows, columns = frame.left.shape[:2]
+        if not all(detection.is_in(columns, rows) for detection in detections):
             return State.GARBAGE, "a box that is not in the picture"
         if expected_px is None:
             return None

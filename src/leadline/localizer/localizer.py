@@ -105,7 +105,8 @@ class Localizer:
         frame = self._fresh(frame)
         self._lag_ns = max(self._newest_reading_ns - frame.t_ns, 0)
         self.detections = self._finder.find(frame)
-        box = self._where(t_ns, before, [one for one in self.detections if one.is_in(frame.left)])
+        size = self._rig.left.width, self._rig.left.height
+        box = self._where(t_ns, before, [one for one in self.detections if one.is_in(*size)])
         if box is None and before is None:
             return self._solution(frame.t_ns, [], [])
         skew = skew_of(frame, self._target, before, self._motion, self._config.filter.initial_speed_m_s)
@@ -335,7 +336,8 @@ class Localizer:
     @property
     def _unconfirmed_s(self) -> float | None:
         """How long a second witness, which there may be, has been waited for; None where there is one or none to be."""
-        others = self._laser is not None or isinstance(self._target, Sphere)
+        sized = isinstance(self._target, Sphere) and self._target.diameter_m is not None
+        others = self._laser is not None or sized
         return self._witnesses.alone_s if self._filtered and others else None
 
     def _recent(self, kinds: frozenset[Kind], t_ns: int) -> bool:
