@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from leadline.health import Health, Part, State
+from leadline.health.lateness import Lateness
 from leadline.samples import (
     NS_PER_S,
+    Array,
     Detection,
     Image,
     Kind,
@@ -187,6 +189,27 @@ def test_the_detector() -> None:
     assert boxes([(30.0, 20.0)] * 5, None) is State.STUCK
     assert boxes([(900.0, 20.0), (700.0, 800.0)], None) is State.GARBAGE
     assert boxes([(55.0, 40.0), (54.0, 41.0)], (30.0, 20.0)) is State.WRONG
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.6])
+def test_a_detector_that_answers_of_older_pictures(late_s: float) -> None:
+    """Told within a second, where the target moves by some pixels meanwhile."""
+    rng, lateness, told_s = np.random.default_rng(3), Lateness(), []
+
+    def place_px(t_s: float) -> Array:
+        return np.array([160 + 20 * np.sin(t_s), 90 + 5 * np.cos(0.7 * t_s)])
+
+    for i in range(120):
+        t_s = i / 10
+        seen_s = t_s - (late_s if t_s >= 6.0 else 0.0)
+        middle_px = place_px(seen_s) + rng.normal(0, 0.5, 2)
+        verdict = lateness.judge(round(t_s * NS_PER_S), middle_px, 40.0, place_px(t_s))
+        if verdict is not None:
+            assert verdict[0] is State.DELAYED
+            told_s.append(t_s)
+    assert bool(told_s) == (late_s > 0)
+    assert all(t_s > 6.0 for t_s in told_s[:1])
+    assert all(t_s < 7.0 for t_s in told_s[:1])
 
 
 # -- clock ---------------------------------------------------------------------------------------------------------
