@@ -16,6 +16,7 @@ from leadline.samples import Array
 
 _COUNTS = (0, 4, 5, 8, 12)
 _NEWTON_STEPS = 30
+_LARGEST = float(np.finfo(np.float64).max)
 _LAST_STEP = 1e-7  # of normalised coordinates: the next one is its square, 1e-11 px at a focal length of 1000 px
 
 
@@ -45,7 +46,7 @@ class Camera:
             *((f.name, getattr(self, f.name)) for f in fields(self)[:6]),
             ("distortion", sum(coefficients)),
         ]:
-            if not np.isfinite(value):
+            if not abs(value) <= _LARGEST:  # nor NaN, nor a whole number beyond all floats
                 raise ValueError(f"{name}: must be finite")
             if name in ("fx", "fy", "width", "height") and value <= 0:
                 raise ValueError(f"{name}: must be positive")

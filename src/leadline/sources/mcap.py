@@ -58,6 +58,10 @@ class McapSource(Source):
                     raise
                 tell(Notice(NoticeKind.SKIPPED, f"{self._path} frame at {format_stamp(log_ns)} s", str(error)))
                 continue
+            except AttributeError as error:  # a damaged schema describes another message
+                why = f"its message is none of {topic} ({error})"
+                tell(Notice(NoticeKind.SKIPPED, f"{self._path} {topic} at {format_stamp(log_ns)} s", why))
+                continue
             if sample is not None:
                 yield sample
         assembler.finish()

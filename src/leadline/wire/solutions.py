@@ -68,8 +68,9 @@ def _is_cut(path: Path) -> bool:
 
 
 def _solution(row: Row) -> Solution:
-    if len(row.cells) < len(HEADER):
-        raise ValueError(f"{len(row.cells)} of {len(HEADER)} cells")
+    missing = [name for name in HEADER if name not in row.cells]
+    if missing:
+        raise ValueError(f"no {', '.join(missing)}")
     t_ns = row.stamp("t_s")
     cov = _vector(row, _COV)
     return Solution(
