@@ -97,6 +97,7 @@ def test_scaling_keeps_pixel_centres_in_place() -> None:
         ({"fx": 0.0}, "fx"),
         ({"fy": np.nan}, "fy"),
         ({"cx": np.inf}, "cx"),
+        ({"cy": 10**400}, "cy: must be finite"),
         ({"width": 0}, "width"),
         ({"distortion": (0.1, 0.2)}, "distortion"),
         ({"distortion": (0.1, np.nan, 0, 0)}, "distortion"),

@@ -93,7 +93,8 @@ def test_detections_stop_and_it_goes_on_where_the_target_must_be() -> None:
 
 
 @pytest.mark.parametrize("far", [1e-3, 1e3, 1e9, np.nan, np.inf])
-def test_boxes_that_are_none_are_as_if_there_were_none(far: float) -> None:
+@pytest.mark.parametrize("since_s", [0.0, STOP_S])
+def test_boxes_that_are_none_are_as_if_there_were_none(since_s: float, far: float) -> None:
     class Mad:
         """True boxes until a time, then of any size, also below nothing, and anywhere."""
 
@@ -101,12 +102,13 @@ def test_boxes_that_are_none_are_as_if_there_were_none(far: float) -> None:
             self._boxes, self._rng = TrueBoxes(DIVE), np.random.default_rng(0)
 
         def find(self, frame: StereoFrame) -> list[Detection]:
-            if frame.t_s < STOP_S:
+            if frame.t_s < since_s:
                 return self._boxes.find(frame)
             x, y, width, height = (float(v) for v in 700 + far * self._rng.uniform(-3, 3, 4))
-            return [Detection((x, y, -width, height), 0.9), Detection((x, y, width, -height), 0.8)]
+            negative = [(x, y, -width, height), (x, y, width, -height), (x, y, -width, -height)]
+            return [Detection(box, 0.9) for box in negative]
 
-    solutions = [steps(Localizer(DIVE.rig, BALL, finder), samples(DIVE)) for finder in (UpTo(STOP_S), Mad())]
+    solutions = [steps(Localizer(DIVE.rig, BALL, finder), samples(DIVE)) for finder in (UpTo(since_s), Mad())]
     assert [one.range_m for one in solutions[0]] == [one.range_m for one in solutions[1]]
 
 

@@ -80,6 +80,13 @@ def test_a_foreign_table_is_refused_with_its_row(tmp_path: Path, cell: str, bad:
         read_solutions(path)
 
 
+def test_a_header_with_a_column_twice_and_rows_of_once_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "solutions.csv"
+    path.write_text(",".join(["t_s", *HEADER]) + "\n" + ",".join(["1"] * len(HEADER)) + "\n")
+    with pytest.raises(InputError, match="the first rejected"):
+        read_solutions(path)
+
+
 def record(path: Path, samples: list[Sample], rig: Rig | None = None, truth: tuple[Truth, ...] = ()) -> Path:
     sink = McapSink(path, rig, truth)
     for sample in samples:

@@ -33,10 +33,16 @@ def _parsed(text: str) -> dict[str, list[str]]:
     return {block[0] if i else "": block[1 if i else 0 :] for i, block in enumerate(blocks)}
 
 
-def foreign(path: Path, skew_ns: int) -> Path:
-    """The topics as another tool records them: no attachment, no sample_info, right images before left ones."""
+def foreign(path: Path, skew_ns: int, ranged: str = "range") -> Path:
+    """The topics as another tool records them: no attachment, no sample_info, right images before left ones.
+
+    ``ranged``: what its description of a reading calls the range.
+    """
     with path.open("wb") as stream, OtherWriter(stream) as writer:
-        schemas = {name: writer.register_msgdef(name, definition(name)) for name in TOPIC_TYPES.values()}
+        schemas = {
+            name: writer.register_msgdef(name, definition(name).replace("float32 range\n", f"float32 {ranged}\n"))
+            for name in TOPIC_TYPES.values()
+        }
         for i in range(3):
             t_ns = i * 100_000_000
             left, right = (encode_png(picture(seed + i)) for seed in (0, 50))
@@ -66,6 +72,14 @@ def test_a_recording_by_another_tool(tmp_path: Path, skew_ns: int, pairs: int) -
     readings = [sample for sample in samples if isinstance(sample, LaserRange)]
     assert readings == [LaserRange(i * 100_000_000, 2.5, None, i * 100_000_000 + 50_000_000) for i in (1, 2)]
     assert [str(notice.kind) for notice in source.notices if notice.kind != "late"] == ["skipped"]  # the NaN
+
+
+def test_messages_that_their_schema_describes_otherwise_are_skipped(tmp_path: Path) -> None:
+    source = open_source(foreign(tmp_path / "other.mcap", 0, ranged="reach"))
+    assert [type(sample) for sample in source] == [StereoFrame] * 3
+    skipped = [str(notice) for notice in source.notices if notice.kind == "skipped"]
+    assert len(skipped) == 3
+    assert all(LASER in one and "range" in one for one in skipped)
 
 
 @pytest.mark.parametrize("variances", [(0.01, 4e-6), (0.0, -1.0), (-1.0, 4e-6), (-1.0, -1.0)])

@@ -129,6 +129,11 @@ class Sphere:
         return length, np.column_stack([normal / cosine, *[1 / cosine] * (len(x) - 3)])
 
 
+def is_known_ball(target: Target) -> bool:
+    """Whether its outline alone says how far it is."""
+    return isinstance(target, Sphere) and target.diameter_m is not None
+
+
 @dataclass(frozen=True, slots=True)
 class Plane:
     """A flat wall or hull: its position is the foot of the perpendicular, which gives its normal too."""

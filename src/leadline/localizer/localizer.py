@@ -45,7 +45,7 @@ from leadline.samples import (
     StereoFrame,
     VehicleMotion,
 )
-from leadline.target import Sphere, Surface, Target, range_with_sigma
+from leadline.target import Surface, Target, is_known_ball, range_with_sigma
 
 BEAM = frozenset({Kind.LASER, Kind.SPOT})
 STRANGE, SURPRISE = 30.0, 9.0  # an innovation's square, in its variance: about the filter's gate; 3 sigma
@@ -336,8 +336,7 @@ class Localizer:
     @property
     def _unconfirmed_s(self) -> float | None:
         """How long a second witness, which there may be, has been waited for; None where there is one or none to be."""
-        sized = isinstance(self._target, Sphere) and self._target.diameter_m is not None
-        others = self._laser is not None or sized
+        others = self._laser is not None or is_known_ball(self._target)
         return self._witnesses.alone_s if self._filtered and others else None
 
     def _recent(self, kinds: frozenset[Kind], t_ns: int) -> bool:

@@ -18,7 +18,7 @@ from leadline.ranging.outline import OutlineRanger
 from leadline.ranging.stereo import Pair, Prior, StereoRanger
 from leadline.rig import Rig
 from leadline.samples import Array, Kind, Measurement, Rejected, StereoFrame
-from leadline.target import Sphere, Target, range_with_sigma
+from leadline.target import Sphere, Target, is_known_ball, range_with_sigma
 
 POOR = 0.1  # a range less certain than this part of itself is no prediction
 APART = 40.0  # chi-square of three numbers: two measurements that are not of one place
@@ -109,7 +109,7 @@ class Sight:
         """What vision measures is no better than its calibration: it must not turn the laser away for that."""
         cov = measurement.cov.copy()
         cov[:3, :3] += self.calibration.at(measurement.z[:3])
-        triangulated = measurement.kind is Kind.STEREO or len(self._target.shape_mean) > 0  # no size says how far it is
+        triangulated = measurement.kind is Kind.STEREO or not is_known_ball(self._target)
         cameras = BOTH if triangulated else measurement.cameras
         honest = replace(measurement, cov=cov, cameras=cameras)
         return skew.widened(honest, self._rig, not isinstance(self._target, Sphere))
