@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
+from leadline.config import Config
 from leadline.localizer import Localizer
+from leadline.localizer.agreement import Agreement, Length
+from leadline.localizer.laser import LaserSight
+from leadline.ranging.calibration_error import CalibrationError
 from leadline.rig import Rig
-from leadline.samples import Array
+from leadline.samples import NS_PER_S, Array, Kind, Measurement
 from leadline.simulation.dive import SimulatedDive
 from leadline.simulation.scenario import Scenario
-from leadline.target import Sphere
+from leadline.target import Sphere, Surface
 from leadline.water import Water, WaterState
 from short_dives import TrueBoxes, range_errors, samples
 
@@ -45,3 +51,21 @@ def test_a_rig_for_a_pool_in_the_sea_is_told_and_covered() -> None:
     late = np.arange(len(wrong)) > len(wrong) / 2
     assert (np.abs(wrong[late]) < 2 * sigma[late]).mean() > 0.95
     assert np.median(sigma) > 4 * np.median(right_sigma)
+
+
+def test_how_far_behind_an_unknown_surface_the_beam_goes_is_one_error_of_all_frames() -> None:
+    """Tens of frames that share it do not make it small: a lump 3 m away is no laser at fault."""
+    rig = Rig.load("rendered")
+    sight = LaserSight(rig, Surface(), Config())
+    cov = np.diag([1e-4, 1e-4, 4e-4, 0.12**2])
+    seen = Measurement(Kind.STEREO, 0, np.array([0.0, 0.0, 3.0, 0.0]), cov, lambda x: None)
+    by_camera = sight.length_by(seen, CalibrationError(rig))
+    assert by_camera is not None
+    assert 0.01 < by_camera.variance_m2**0.5 < 0.03
+    assert by_camera.common_m2**0.5 > 0.119
+    agreement = Agreement()
+    for i in range(60):
+        t_ns = i * NS_PER_S // 10
+        agreement.see(dataclasses.replace(by_camera, t_ns=t_ns))
+        agreement.read(Length(t_ns - NS_PER_S // 20, by_camera.length_m + 0.15, 1e-6, 1e-6), None)
+    assert not agreement.notices

@@ -157,7 +157,7 @@ class Config(Section):
             key = ".".join(str(part) for part in first["loc"]) or "the file"
             raise InputError(f"{key}: {first['msg']}", str(path), "see `leadline config dump` for the keys") from error
         except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: what looks like a date and is none
-            raise InputError("is not YAML", str(path), " ".join(str(error).split())) from error
+            raise InputError("is not YAML", str(path), str(error)) from error
 
     def dump(self) -> str:
         return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)

@@ -193,7 +193,7 @@ def read(path: Path) -> RigFile:
         reason = getattr(error, "strerror", None) or "it is not text"
         raise InputError(f"the rig file cannot be read ({reason})", str(path), "check the path") from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: what looks like a date and is none
-        raise InputError("is not YAML", str(path), " ".join(str(error).split())) from error
+        raise InputError("is not YAML", str(path), str(error)) from error
     if not isinstance(data, dict) or data.get("format") != "leadline-rig":
         raise InputError("is not a rig file", str(path), "its first key must be `format: leadline-rig`")
     if data.get("version") != 1:

@@ -19,7 +19,7 @@ from leadline.recognition.dark import aligned, around
 from leadline.recognition.spot import NoSpot, Spot, find_spot
 from leadline.rig import Rig, Side
 from leadline.samples import NS_PER_S, Array, Image, Kind, LaserRange, Measurement, Rejected, StereoFrame
-from leadline.target import Target
+from leadline.target import Surface, Target
 
 DARK_AGE_S = 0.3  # of the frame without the laser, to be subtracted
 
@@ -70,15 +70,16 @@ class LaserSight:
     def length_by(self, seen: Measurement, calibration: CalibrationError) -> Length | None:
         """The beam's length by what a frame shows; None where the beam passes the target by."""
         if seen.kind is Kind.SPOT:
-            length, noise = float(seen.z[0]), float(seen.cov[0, 0])
+            length, noise, shape = float(seen.z[0]), float(seen.cov[0, 0]), 0.0
         else:
             length, gradient = self._lengths(seen.z)
             noise = float(gradient @ seen.cov @ gradient)
+            shape = self._of_shape(gradient, seen.cov)
         if not (np.isfinite(length) and np.isfinite(noise)) or length < self._config.beam.nearest_m:
             return None
         point_m = self._laser.origin_m + length * self._laser.direction
         common = float(self._laser.direction @ calibration.at(point_m) @ self._laser.direction)
-        return Length(seen.t_ns, length, noise, common)
+        return Length(seen.t_ns, length, noise - shape, common + shape)
 
     def keep(self, sample: LaserRange) -> None:
         self._readings.append(sample)
@@ -156,6 +157,12 @@ class LaserSight:
         sigma_m = skew.dt_s * float(np.sqrt(gradient @ skew.velocity_cov @ gradient))
         along = sigma_m * px_per_m
         return q_px - ran_m * px_per_m, cov_px2 + np.outer(along, along)
+
+    def _of_shape(self, gradient: Array, cov: Array) -> float:
+        """The part of its variance that is how far behind an unknown surface the beam goes: alike in all frames."""
+        if not isinstance(self._target, Surface):
+            return 0.0
+        return float(gradient @ cov @ gradient - gradient[:3] @ cov[:3, :3] @ gradient[:3])
 
     def _lengths(self, x: Array) -> tuple[float, Array]:
         length, gradient = self._target.beam_length(x, self._laser.origin_m[None], self._laser.direction[None])

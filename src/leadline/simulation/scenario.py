@@ -175,7 +175,7 @@ class Scenario(_Part):
         except (OSError, UnicodeDecodeError) as error:
             raise InputError("cannot be read", str(path), "check the file") from error
         except yaml.YAMLError as error:
-            raise InputError("is not YAML", str(path), str(error).replace("\n", " ")) from error
+            raise InputError("is not YAML", str(path), str(error)) from error
         try:
             return cls.model_validate({} if content is None else content)
         except ValidationError as error:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle
 from typing import ClassVar, Protocol
 
-from leadline.errors import InputError
+from leadline.errors import InputError, in_words
 from leadline.health import Part
 from leadline.samples import NS_PER_S, LaserRange
 from leadline.sources.clock import LiveClock
@@ -87,7 +87,7 @@ class SerialLaser(LivePart):
             self._send(self._protocol.start)
             self._ask()
         except (OSError, ValueError) as error:  # serial.SerialException is an OSError
-            raise Lost(f"cannot be opened: {_words(error)}") from error
+            raise Lost(f"cannot be opened: {in_words(error)}") from error
 
     def read(self) -> Sequence[Item]:
         assert self._port is not None
@@ -100,7 +100,7 @@ class SerialLaser(LivePart):
             elif arrival_ns - self._spoken_ns > SILENCE_S * NS_PER_S:
                 self._wake(silent=not data)
         except (OSError, TypeError) as error:  # pyserial raises TypeError where a port vanishes while it is read
-            raise Lost(f"unplugged: {_words(error)}") from error
+            raise Lost(f"unplugged: {in_words(error)}") from error
         if heard:
             self._spoken_ns = arrival_ns
         self._reconsider(heard, arrival_ns)
@@ -165,7 +165,3 @@ def _close_quietly(port: Port) -> None:
         port.close()
     except Exception:
         return
-
-
-def _words(error: BaseException) -> str:
-    return " ".join(str(error).split()) or type(error).__name__

@@ -134,7 +134,7 @@ def _load_yaml(file: Path) -> dict[str, Any]:
     try:
         data = yaml.safe_load(file.read_text(encoding="utf-8", errors="replace"))
     except yaml.YAMLError as error:
-        raise InputError("is not YAML", str(file), " ".join(str(error).split())) from error
+        raise InputError("is not YAML", str(file), str(error)) from error
     return data if isinstance(data, dict) else {}
 
 

@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
+from leadline.errors import one_line
+
 
 class NoticeKind(StrEnum):
     SKIPPED = "skipped"  # a sample that could not be read, or makes no sense, and was left out
@@ -29,7 +31,7 @@ class Notice:
     why: str
 
     def __str__(self) -> str:
-        return f"{self.kind}: {self.where}: {self.why}"
+        return one_line(f"{self.kind}: {self.where}: {self.why}")
 
 
 def count_notices(notices: Iterable[Notice]) -> dict[str, int]:

@@ -30,7 +30,7 @@ from mcap.writer import Writer as PlainWriter
 from mcap_ros2._dynamic import serialize_dynamic
 from mcap_ros2.decoder import DecoderFactory
 
-from leadline.errors import InputError
+from leadline.errors import InputError, in_words
 from leadline.samples import NS_PER_S
 from leadline.wire import mcap_records as layout
 from leadline.wire.ros2_definitions import TOPIC_TYPES, definition
@@ -221,7 +221,7 @@ class RecordingReader:
                     raise ValueError(f"not a ROS 2 message but {channel.message_encoding or 'of no encoding'}")
                 message = decode(record.data)
             except Exception as error:  # whatever the bytes make of the decoder
-                self._on_damage(f"a message on {channel.topic} cannot be decoded ({_told(error)})")
+                self._on_damage(f"a message on {channel.topic} cannot be decoded ({in_words(error)})")
                 continue
             yield Logged(channel.topic, message, record.log_time)
 
@@ -252,7 +252,7 @@ class RecordingReader:
                     elif opcode in _OUTER and not (chunked and opcode == layout.MESSAGE):
                         yield _OUTER[opcode](content), False
                 except Exception as error:  # whatever the damaged bytes make of the parser
-                    self._on_damage(f"a part at byte {offset} of {self._size} is damaged ({_told(error)})")
+                    self._on_damage(f"a part at byte {offset} of {self._size} is damaged ({in_words(error)})")
             else:
                 return  # told already
         if self._summary is None:
@@ -380,10 +380,6 @@ def _unpack(content: bytes) -> list[Any]:
         raise ValueError(f"{chunk.uncompressed_size} bytes are no size of a part")
     # one that is not compressed is checked on the way here
     return list(breakup_chunk(chunk, validate_crc=bool(chunk.compression)))
-
-
-def _told(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _read_summary(path: Path, size: int) -> Summary | None:

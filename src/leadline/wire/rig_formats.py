@@ -137,7 +137,7 @@ def _parsed(path: Path) -> dict[str, Any]:
     try:
         data = yaml.safe_load(text)
     except yaml.YAMLError as error:
-        raise InputError("is not YAML", str(path), " ".join(str(error).split())) from error
+        raise InputError("is not YAML", str(path), str(error)) from error
     if not isinstance(data, dict):
         raise InputError("is not a calibration", str(path), "give a YAML file with named values")
     return data
