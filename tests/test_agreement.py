@@ -62,10 +62,12 @@ def test_how_far_behind_an_unknown_surface_the_beam_goes_is_one_error_of_all_fra
     by_camera = sight.length_by(seen, CalibrationError(rig))
     assert by_camera is not None
     assert 0.01 < by_camera.variance_m2**0.5 < 0.03
-    assert by_camera.common_m2**0.5 > 0.119
+    assert by_camera.shape_m2**0.5 > 0.119
     agreement = Agreement()
+    spot = Length(0, by_camera.length_m + 0.15, 1e-6, by_camera.common_m2)
     for i in range(60):
         t_ns = i * NS_PER_S // 10
         agreement.see(dataclasses.replace(by_camera, t_ns=t_ns))
+        agreement.check(spot, by_camera)
         agreement.read(Length(t_ns - NS_PER_S // 20, by_camera.length_m + 0.15, 1e-6, 1e-6), None)
     assert not agreement.notices

@@ -33,12 +33,16 @@ SPOTS, SPOTS_TOLD, SPOT_SIGMAS = 5, 5, 2.5  # frames: those that count, and how 
 
 @dataclass(frozen=True, slots=True)
 class Length:
-    """The beam's length at a time, measured one way. variance_m2: noise of this one; common_m2: of the calibration."""
+    """The beam's length at a time, measured one way. variance_m2: noise of this one; common_m2: of the calibration.
+
+    shape_m2: of where an unknown surface lies under the beam, which the frames share as well.
+    """
 
     t_ns: int
     length_m: float
     variance_m2: float
     common_m2: float
+    shape_m2: float = 0.0
 
 
 class Agreement:
@@ -59,7 +63,7 @@ class Agreement:
 
     def check(self, spot: Length, surface: Length) -> None:
         """The spot and the target's surface where the beam meets it, of one frame."""
-        sigma_m = sqrt(spot.variance_m2 + surface.variance_m2 + SURFACE_M**2)
+        sigma_m = sqrt(spot.variance_m2 + surface.variance_m2 + surface.shape_m2 + SURFACE_M**2)
         self._beside.append((spot.length_m - surface.length_m, sigma_m))
         off_m = self._off_surface_m()
         self._contradictions += off_m > 0
@@ -119,7 +123,7 @@ class Agreement:
         length = before.length_m + part * (after.length_m - before.length_m)
         speed = (after.length_m - before.length_m) / gap_s
         noise = (1 - part) ** 2 * before.variance_m2 + part**2 * after.variance_m2 + reading.variance_m2
-        common = max(before.common_m2, after.common_m2) + reading.common_m2
+        common = max(one.common_m2 + one.shape_m2 for one in (before, after)) + reading.common_m2
         self._pairs.append((reading.length_m - length, speed, noise, common))
         self._known_offset = None
         if len(self._pairs) >= LEAST:

@@ -79,7 +79,7 @@ class LaserSight:
             return None
         point_m = self._laser.origin_m + length * self._laser.direction
         common = float(self._laser.direction @ calibration.at(point_m) @ self._laser.direction)
-        return Length(seen.t_ns, length, noise - shape, common + shape)
+        return Length(seen.t_ns, length, noise - shape, common, shape)
 
     def keep(self, sample: LaserRange) -> None:
         self._readings.append(sample)
