@@ -110,7 +110,7 @@ def test_impossible_measurement_is_a_value_not_a_crash() -> None:
     impossible = Measurement(Kind.LASER, 100, np.zeros(1), np.eye(1), lambda x: None)
     used, rejected = filt.add(100, [impossible])
     assert not used
-    assert rejected[0].reason == "cannot come from this target"
+    assert rejected[0].reason == "is beside the target, or grazes it"
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])

@@ -312,7 +312,7 @@ def test_a_beam_beside_the_target_is_no_contradiction() -> None:
     for sample in dive(12.0, 0):
         health.sample(sample)
         if isinstance(sample, LaserRange):
-            beside = Rejected(Kind.LASER, sample.t_ns, "cannot come from this target")
+            beside = Rejected(Kind.LASER, sample.t_ns, "is beside the target, or grazes it")
             health.solved(replace(solution(sample.t_s, (), ()), rejected=(beside,)), 0)
         else:
             health.solved(solution(sample.t_s, (Kind.STEREO,), ()), 0)

@@ -38,7 +38,7 @@ def update(
     """Mean, covariance and the innovation's normalised square; or why the measurement is not taken."""
     seen = linear(y)
     if seen is None:
-        return Refused("cannot come from this target")
+        return Refused("is beside the target, or grazes it")
     h, H, extra = seen
     noise = cov + extra if extra else cov
     off, point, P_after, nis, gate = z - h, y, P, 0.0, gate_threshold(len(z), gate_sigmas)
@@ -54,7 +54,7 @@ def update(
         before, point = point, y + step
         seen = linear(point)
         if seen is None:
-            return Refused("cannot come from this target")
+            return Refused("is beside the target, or grazes it")
         if seen[1] is H:  # the very same Jacobian: it is straight
             break
         curved = seen[0] - h - H @ (point - before)

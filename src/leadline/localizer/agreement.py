@@ -1,10 +1,10 @@
 """Do the laser and the cameras agree? Two ways to one length, that of the beam, are compared all the time.
 
 Each reading is set against what the cameras saw just before and after it: the spot, else the target where the beam
-meets it. The differences of the last readings are explained by an offset (the water, a calibration) and by a clock (a
-difference that goes with the speed). An offset that the calibration's own uncertainty does not explain is told, and
-stands in the stated sigma for as long as it lasts: nobody knows which of the two is right. So does a spot that lies
-before or behind the surface that the same frame shows (exposures that are not at one time, a target of another shape).
+meets it. The differences of the last readings are explained by an offset (a calibration), a scale (the water) and a
+clock (a difference that goes with the speed). An offset or a scale that the calibration's own uncertainty does not
+explain is told, and stands in the stated sigma for as long as it lasts: nobody knows which of the two is right. So does
+a spot that lies before or behind the surface that the same frame shows (exposures apart, a target of another shape).
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from math import sqrt
 
-import numpy as np
-
+from leadline.localizer.differences import Biases, Difference, biases, clock
 from leadline.samples import NS_PER_S
 
 KEPT = 30  # readings
@@ -27,6 +26,7 @@ TOLD_SIGMAS, COVERED_SIGMAS = 3.5, 2.0
 IN_A_ROW = 3  # readings that contradict the cameras alike count at once
 CLOCK_SIGMA_S, WIDE_CLOCK_S = 0.05, 1.0
 CLOCK_TOLD_S = 0.1
+WATERS = 0.03  # of the length: more is no other water
 SURFACE_M = 0.002  # how far a target may stand off its ideal shape where the spot is
 SPOTS, SPOTS_TOLD, SPOT_SIGMAS = 5, 5, 2.5  # frames: those that count, and how many contradictions are told
 
@@ -49,10 +49,10 @@ class Agreement:
     def __init__(self) -> None:
         self._seen: deque[Length] = deque(maxlen=FRAMES_KEPT)
         self._waiting: list[Length] = []
-        self._pairs: deque[tuple[float, float, float, float]] = deque(maxlen=KEPT)  # difference, speed, noise, common
+        self._pairs: deque[Difference] = deque(maxlen=KEPT)
         self._beside: deque[tuple[float, float]] = deque(maxlen=SPOTS)  # spot against surface: difference, sigma
         self._contradictions = 0
-        self._known_offset: tuple[float, float] | None = None
+        self._known: Biases | None = None
         self.clock_s = 0.0  # a reading stamped t was taken at t + clock_s: told only where it is far off
         self.notices: dict[str, str] = {}
 
@@ -93,13 +93,13 @@ class Agreement:
         last = list(self._pairs)[-IN_A_ROW:]
         extra = self._off_surface_m() ** 2
         if len(last) == IN_A_ROW:
-            values = [difference - self.clock_s * speed for difference, speed, *_ in last]
-            sigma = max(sqrt(noise + common + (CLOCK_SIGMA_S * speed) ** 2) for _, speed, noise, common in last)
+            values = [one.metres - self.clock_s * one.speed_m_s for one in last]
+            sigma = max(sqrt(one.noise_m2 + one.common_m2 + (CLOCK_SIGMA_S * one.speed_m_s) ** 2) for one in last)
             if max(values) - min(values) < 5 * sigma < min(map(abs, values)):
                 extra = max(extra, max(map(abs, values)) ** 2)
         if len(self._pairs) >= LEAST:
-            offset, variance = self._offset()
-            extra = max(extra, offset**2 - COVERED_SIGMAS**2 * variance)
+            for bias in self._biases():
+                extra = max(extra, bias.metres**2 - COVERED_SIGMAS**2 * bias.variance_m2)
         return max(extra, 0.0)
 
     def _compare(self) -> None:
@@ -123,59 +123,46 @@ class Agreement:
         length = before.length_m + part * (after.length_m - before.length_m)
         speed = (after.length_m - before.length_m) / gap_s
         noise = (1 - part) ** 2 * before.variance_m2 + part**2 * after.variance_m2 + reading.variance_m2
+        speed_noise = (before.variance_m2 + after.variance_m2) / gap_s**2
         common = max(one.common_m2 + one.shape_m2 for one in (before, after)) + reading.common_m2
-        self._pairs.append((reading.length_m - length, speed, noise, common))
-        self._known_offset = None
+        self._pairs.append(Difference(reading.length_m - length, length, speed, noise, common, speed_noise))
+        self._known = None
         if len(self._pairs) >= LEAST:
             self._tell(length)
 
-    def _fit(self, clock_s: float, clock_sigma_s: float) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Offset (m) and clock (s) with their variances: difference = offset + clock speed, robustly; clock's prior."""
-        difference, speed, noise, common = np.array(self._pairs).T
-        difference, sure, sigma = difference - clock_s * speed, 1 / clock_sigma_s**2, np.sqrt(noise)
-        offset, clock, scale = _median(difference.tolist()), 0.0, 1.0
-        for _ in range(8):
-            off = np.abs(difference - (offset + clock * speed)) / sigma
-            scale = max(1.0, 1.4826 * _median(off.tolist()))
-            weight = 1 / (1 + (off / (3 * scale)) ** 2) ** 2 / noise
-            moved = weight * speed
-            # The information of offset and clock is [[a, b], [b, c]], and they are pulled by p and q.
-            a, b, c = float(weight.sum()), float(moved.sum()), float(moved @ speed) + sure
-            p, q, area = float(weight @ difference), float(moved @ difference), a * c - b * b
-            offset, clock = (c * p - b * q) / area, (a * q - b * p) / area
-        of_offset, of_clock = (scale**2 * value / area for value in (c, a))
-        return (offset, of_offset + float(common.mean())), (clock_s + clock, of_clock)
-
     def _correct(self, clock_s: float) -> None:
         self.clock_s, late = clock_s, "early" if clock_s > 0 else "late"
-        self._known_offset = None
+        self._known = None
         if abs(clock_s) > CLOCK_TOLD_S:
             self.notices["clock"] = (
                 f"the laser's stamps are {abs(clock_s):.2f} s too {late}: corrected, but set its clock"
             )
 
-    def _offset(self) -> tuple[float, float]:
-        """Of the last readings, with its variance."""
-        if self._known_offset is None:
-            self._known_offset = self._fit(self.clock_s, WIDE_CLOCK_S if "clock" in self.notices else CLOCK_SIGMA_S)[0]
-        return self._known_offset
+    def _biases(self) -> Biases:
+        """Of the last readings."""
+        if self._known is None:
+            wide = WIDE_CLOCK_S if "clock" in self.notices else CLOCK_SIGMA_S
+            self._known = biases(self._pairs, self.clock_s, wide)
+        return self._known
 
     def _tell(self, length_m: float) -> None:
-        clock, clock_variance = self._fit(0.0, WIDE_CLOCK_S)[1]
-        if abs(clock) > max(CLOCK_TOLD_S, TOLD_SIGMAS * clock_variance**0.5):
-            self._correct(clock)
+        late = clock(self._pairs, WIDE_CLOCK_S)
+        if late is not None and abs(late[0]) > max(CLOCK_TOLD_S, TOLD_SIGMAS * late[1]):
+            self._correct(late[0])
         if "clock" in self.notices:  # then differences are the clock's as much as the water's
             self.notices.pop("offset", None)
             return
-        offset, variance = self._offset()
-        sigmas = abs(offset) / variance**0.5
-        if sigmas < TOLD_SIGMAS:
+        bias = max(self._biases(), key=lambda bias: bias.sigmas)
+        if bias.sigmas < TOLD_SIGMAS:
             return
-        how = "longer" if offset > 0 else "shorter"
-        why = "is the water state right (pool or sea)?" if abs(offset) < 0.03 * length_m else "is one of them faulty?"
+        how = "longer" if bias.metres > 0 else "shorter"
+        if abs(bias.metres) < WATERS * length_m:
+            why = "is the water state right (pool or sea)?"
+        else:
+            why = f"{'does it pass the target, or ' if bias.metres > 0 else ''}is one of them faulty?"
         self.notices["offset"] = (
-            f"the laser reads {1e3 * abs(offset):.0f} mm {how} than the cameras see its beam at {length_m:.1f} m "
-            f"({sigmas:.1f} sigma): {why}"
+            f"the laser reads {1e3 * abs(bias.metres):.0f} mm {how} than the cameras see its beam at {length_m:.1f} m "
+            f"({bias.sigmas:.1f} sigma): {why}"
         )
 
 

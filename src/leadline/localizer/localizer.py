@@ -18,7 +18,7 @@ import numpy as np
 from leadline.config import Config
 from leadline.estimation import Estimate, Filter, FilterSettings
 from leadline.estimation.small import chi_square
-from leadline.localizer.agreement import Agreement
+from leadline.localizer.agreement import Agreement, Length
 from leadline.localizer.blind import held
 from leadline.localizer.expected import expected
 from leadline.localizer.laser import LaserSight
@@ -205,17 +205,22 @@ class Localizer:
         if self._laser is None:
             return
         seen = {one.kind: one for one in found}
-        lengths = [
-            (kind, self._laser.length_by(seen[kind], self._sight.calibration))
-            for kind in (Kind.SPOT, Kind.STEREO, Kind.SIZE)
-            if kind in seen
-        ]
+        lengths = [(kind, self._length_by(seen[kind])) for kind in (Kind.SPOT, Kind.STEREO, Kind.SIZE) if kind in seen]
         known = [(kind, length) for kind, length in lengths if length is not None]
         taken = [length for kind, length in known if kind in used]
         if taken:
             self._agreement.see(taken[0])
         if len(known) > 1 and known[0][0] is Kind.SPOT:
             self._agreement.check(known[0][1], known[1][1])
+
+    def _length_by(self, seen: Measurement) -> Length | None:
+        """The beam's length by what a frame shows."""
+        assert self._laser is not None
+        length = self._laser.length_by(seen, self._sight.calibration)
+        if length is None or seen.kind is not Kind.STEREO:
+            return length
+        bias_m = self._matching_bias_m(length.length_m, self._config.status.bias_px)
+        return replace(length, common_m2=length.common_m2 + bias_m**2)
 
     def _estimate(self, t_ns: int) -> Estimate | None:
         return self._filter.at(t_ns) if self._filter.alive else None
