@@ -17,7 +17,7 @@ from leadline.samples import Array
 
 FREE_M, FREE, NONE = 10.0, 1.0, 1e-9  # sigmas of what may be anything (a broken laser), and of what is not there
 WATERS = 0.02  # of the scale, by other waters
-ROUNDS = 8
+ROUNDS, SETTLED = 8, 0.05  # and sigmas of the last step
 TAIL_SIGMAS = 3.0  # differences beyond count less and less
 VARIED = 4.0  # times the variance of its noise: a speed that varies enough to tell a clock
 
@@ -56,10 +56,10 @@ class Biases(NamedTuple):
 
 def biases(differences: Sequence[Difference], clock_s: float, clock_sigma_s: float) -> Biases:
     """Beside a clock that is known within its sigma."""
-    last_m = differences[-1].length_m
-    common, length = np.array([(one.common_m2, one.length_m) for one in differences]).T
-    offset, cov, _ = _fit(differences, clock_s, (FREE_M, NONE, clock_sigma_s))
-    scale, scale_cov, _ = _fit(differences, clock_s, (NONE, FREE, clock_sigma_s))
+    table = np.array(differences).T
+    length, common, last_m = table[1], table[4], differences[-1].length_m
+    offset, cov = _fit(table, clock_s, (FREE_M, NONE, clock_sigma_s))
+    scale, scale_cov = _fit(table, clock_s, (NONE, FREE, clock_sigma_s))
     of_scale = float(scale_cov[1, 1] + (common / length**2).mean())
     return Biases(
         Bias(float(offset[0]), float(cov[0, 0] + common.mean())),
@@ -69,31 +69,32 @@ def biases(differences: Sequence[Difference], clock_s: float, clock_sigma_s: flo
 
 def clock(differences: Sequence[Difference], sigma_s: float) -> tuple[float, float] | None:
     """The clock's error (s) and its sigma, offset and scale being free; None where the speed was too even to tell."""
-    fitted, cov, weight = _fit(differences, 0.0, (FREE_M, WATERS, sigma_s))
-    speed, noise = np.array([(one.speed_m_s, one.speed_noise) for one in differences]).T
+    table = np.array(differences).T
+    speed, weight, speed_noise = table[2], 1 / table[3], table[5]
     about = speed - weight @ speed / weight.sum()
-    if weight @ about**2 <= VARIED * (weight @ noise):
+    if weight @ about**2 <= VARIED * (weight @ speed_noise):
         return None
+    fitted, cov = _fit(table, 0.0, (FREE_M, WATERS, sigma_s))
     return float(fitted[2]), float(np.sqrt(cov[2, 2]))
 
 
-def _fit(
-    differences: Sequence[Difference], clock_s: float, sigmas: tuple[float, float, float]
-) -> tuple[Array, Array, Array]:
-    """Offset, scale and clock beyond ``clock_s`` (3,), their covariance, and the weights (N,).
+def _fit(table: Array, clock_s: float, sigmas: tuple[float, float, float]) -> tuple[Array, Array]:
+    """Offset, scale and clock beyond ``clock_s`` (3,), and their covariance, of differences (6, N).
 
     Robust least squares (Cauchy's weights, squared), with these sigmas of the three before.
     """
-    metres, length, speed, noise = np.array(differences).T[:4]
-    of = np.stack([np.ones(len(metres)), length, speed])
-    metres, sure, weight = metres - clock_s * speed, np.diag(np.array(sigmas) ** -2.0), 1 / noise
-    fitted = np.zeros(3)
-    for i in range(ROUNDS):
-        off = np.abs(metres - fitted @ of) / np.sqrt(noise)
-        scale = max(1.0, 1.4826 * float(np.median(off))) if i else 1.0
-        if i:
+    metres, length, speed, noise = table[:4]
+    of, sure = np.stack([np.ones(len(metres)), length, speed]), np.diag(np.array(sigmas) ** -2.0)
+    metres, sigma, weight, scale = metres - clock_s * speed, np.sqrt(noise), 1 / noise, 1.0
+    fitted, cov = np.zeros(3), sure
+    for turn in range(ROUNDS):
+        if turn:
+            off = np.abs(metres - fitted @ of) / sigma
+            scale = max(1.0, 1.4826 * float(np.partition(off, len(off) // 2)[len(off) // 2]))
             weight = 1 / (1 + (off / (TAIL_SIGMAS * scale)) ** 2) ** 2 / noise
         weighted = of * (weight / scale**2)
-        cov = np.linalg.inv(weighted @ of.T + sure)
+        before, cov = fitted, np.linalg.inv(weighted @ of.T + sure)
         fitted = cov @ (weighted @ metres)
-    return fitted, cov, weight
+        if turn and (np.abs(fitted - before) < SETTLED * np.sqrt(np.diagonal(cov))).all():
+            break
+    return fitted, cov
