@@ -156,13 +156,14 @@ class Agreement:
         if bias.sigmas < TOLD_SIGMAS:
             return
         how = "longer" if bias.metres > 0 else "shorter"
-        if abs(bias.metres) < WATERS * length_m:
+        share = abs(bias.metres) / length_m
+        if share < WATERS:
             why = "is the water state right (pool or sea)?"
         else:
             why = f"{'does it pass the target, or ' if bias.metres > 0 else ''}is one of them faulty?"
         self.notices["offset"] = (
-            f"the laser reads {1e3 * abs(bias.metres):.0f} mm {how} than the cameras see its beam at {length_m:.1f} m "
-            f"({bias.sigmas:.1f} sigma): {why}"
+            f"the laser reads {1e3 * abs(bias.metres):.0f} mm ({share:.1%}) {how} than the cameras see its beam at "
+            f"{length_m:.1f} m ({bias.sigmas:.1f} sigma): {why}"
         )
 
 
