@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -212,6 +213,59 @@ def test_a_mistake_is_one_line_and_status_2(
     assert captured.err.count("\n") == 1
     assert told in captured.err
     assert not (place / "x").exists()
+
+
+WITHIN_A_FILE = "boxes.json/x"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["sim", "tiny.yaml", "--out", WITHIN_A_FILE],
+        ["detect", "dive", "--out", WITHIN_A_FILE],
+        ["detect", "dive", "--out", "boxes.json"],
+        ["dataset", "dive", "--out", WITHIN_A_FILE],
+        ["recover", "run/dive.mcap", "--out", f"{WITHIN_A_FILE}/whole.mcap"],
+        ["run", "dive", "--out", WITHIN_A_FILE, "--boxes", "boxes.json"],
+        ["board", "--out", f"{WITHIN_A_FILE}/board.pdf"],
+        ["capture", "dive", "--target", "--out", WITHIN_A_FILE],
+        ["evaluate", "run", "run", "--truth", "dive/truth.csv", "--out", WITHIN_A_FILE],
+        ["calibrate", "convert", "rendered", "--format", "ros", "--out", WITHIN_A_FILE],
+        ["calibrate", "convert", "rendered", "--out", f"{WITHIN_A_FILE}/rig.yaml"],
+        ["calibrate", "range", "--dive", "dive", "--rig", "rendered", "--out", f"{WITHIN_A_FILE}/rig.yaml"],
+        ["calibrate", "laser", "--dive", "dive", "--rig", "rendered", "--out", f"{WITHIN_A_FILE}/rig.yaml"],
+        ["calibrate", "cameras", "--air", "dive", "--board", "8x6", "--square", "0.03", "--out", WITHIN_A_FILE],
+    ],
+    ids=" ".join,
+)
+def test_a_place_that_cannot_be_made_is_one_line_and_status_2(
+    place: Path, arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(place)
+    boxes = (place / "boxes.json").read_bytes()
+    assert main(arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert "boxes.json" in captured.err
+    assert "cannot be written" in captured.err
+    assert (place / "boxes.json").read_bytes() == boxes
+
+
+def test_a_folder_without_permission_is_told_before_the_work(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("leadline.files.os.access", lambda path, mode: mode != os.W_OK)  # to root all is permitted
+    assert run(place, "locked") == 2
+    assert "locked: cannot be written (Permission denied); give a folder that can be" in capsys.readouterr().err
+
+
+def test_files_come_into_new_folders_too(place: Path) -> None:
+    new = place / "new"
+    assert main(["board", "--out", str(new / "paper" / "board.pdf")]) == 0
+    assert main(["recover", str(place / "run" / "dive.mcap"), "--out", str(new / "whole" / "dive.mcap")]) == 0
+    assert main(["calibrate", "convert", "rendered", "--out", str(new / "rig" / "rig.yaml")]) == 0
+    assert {path.name for path in new.rglob("*.*")} == {"board.pdf", "dive.mcap", "rig.yaml"}
 
 
 def test_a_folder_that_is_no_run_is_left_alone(place: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from leadline.errors import InputError
 from leadline.evaluation.drawing import draw_detections
+from leadline.files import make_folder, write_whole
 from leadline.samples import Detection, Image
 from leadline.wire.dive_folder import read_frames, split_side_by_side
 from leadline.wire.images import decode_image
@@ -54,7 +55,7 @@ def detect_images(
     """
     skipped: list[tuple[str, str]] = []
     total, images = _open(input_path, skipped)
-    out_dir.mkdir(parents=True, exist_ok=True)
+    make_folder(out_dir)
     report = DetectReport(out_dir / RESULTS_NAME, skipped=skipped)
     results: list[dict[str, object]] = []
     for done, (name, image) in enumerate(images, 1):
@@ -70,7 +71,7 @@ def detect_images(
     if report.images == 0:
         raise InputError(f"no image can be read ({_first(report.skipped)})", str(input_path), "check the files")
     report.detections = len(results)
-    report.results.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    write_whole(report.results, json.dumps(results, indent=1) + "\n")
     return report
 
 

@@ -23,7 +23,7 @@ from leadline.evaluation.detection_sheet import false_sheet, misses_sheet
 from leadline.evaluation.detection_tables import COCO_SIDES_PX, Outcome, Picture, Row, size_name
 from leadline.evaluation.detection_water import local_contrast, thirds
 from leadline.evaluation.summary import versions
-from leadline.files import write_whole
+from leadline.files import make_folder, write_whole
 from leadline.samples import Detection, Image
 from leadline.training.dataset import Example
 from leadline.wire.images import decode_image
@@ -189,12 +189,7 @@ def _by_water(outcome: Outcome) -> list[WaterRow]:
 
 
 def _write(out: Path, report: DetectorReport, outcome: Outcome, sheets: dict[str, bytes], title: str) -> DetectorReport:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        for name in (MISSES, FALSE_BOXES):  # of an earlier evaluation
-            (out / name).unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot be written ({error.strerror})", str(out), "give a folder to --out") from error
+    make_folder(out, without=(MISSES, FALSE_BOXES))
     results = [one for p in outcome.pictures for one in coco_results(Path(p.name).name, p.found)]
     curve = detection_page.curve(outcome)
     texts = {
@@ -206,7 +201,7 @@ def _write(out: Path, report: DetectorReport, outcome: Outcome, sheets: dict[str
     for name, text in texts.items():
         write_whole(out / name, text)
     for name, data in sheets.items():
-        (out / name).write_bytes(data)
+        write_whole(out / name, data)
     return replace(report, files=[out / name for name in (*texts, *sheets)])
 
 

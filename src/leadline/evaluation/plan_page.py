@@ -10,7 +10,6 @@ from string import Template
 
 import numpy as np
 
-from leadline.errors import InputError
 from leadline.evaluation.html import items, section, table
 from leadline.evaluation.plan import AIMED, DISTANCES_M, Cell
 from leadline.evaluation.plan_report import KINDS, Plan, lines
@@ -28,10 +27,6 @@ _COLOURS = {"stereo": INK["water"], "size": INK["air"], "spot": INK["green"], "l
 
 def write(out: Path, plan: Plan) -> list[Path]:
     """Page, chart and numbers in a folder. InputError where that cannot be written."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot be written ({error.strerror})", str(out), "give a folder to --out") from error
     contents = {PAGE: page(plan), CHART: chart(plan) + "\n", NUMBERS: json.dumps(plan.plain(), indent=1) + "\n"}
     for name, content in contents.items():
         write_whole(out / name, content)

@@ -72,10 +72,6 @@ def evaluate_run(run: Path, truth_file: Path, out: Path) -> RunMetrics:
         ignored=[str(notice) for notice in ignored],
         files=[out / name for name in (METRICS, PICTURE, BY_DISTANCE)],
     )
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot be written ({error.strerror})", str(out), "give a folder to --out") from error
     write_whole(out / METRICS, json.dumps(_plain(result, run, truth_file), indent=1) + "\n")
     curve = Curve(method, solutions, errors, own_point=method == "paper")
     title = f"{run.resolve().name} · {result.target or 'target not stated'} · {method}"

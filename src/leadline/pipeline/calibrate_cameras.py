@@ -17,6 +17,7 @@ from leadline.calibration.verdict import Verdict, best_images, cross_check, verd
 from leadline.calibration.views import BoardView
 from leadline.errors import InputError
 from leadline.evaluation.calibration_report import write_page
+from leadline.files import make_folder
 from leadline.rig import Rig
 from leadline.rig_derivatives import Medium, medium_of
 from leadline.wire.calibration_folder import CalibrationFolder, ImagePair, read_calibration_folder
@@ -115,6 +116,7 @@ def calibrate(
     """Calibrate from folders and write the rig file and its page. InputError says what is wrong with the images."""
     if air is None and water is None:
         raise InputError("there are no images", "--air, --water", "give one of them, or both")
+    make_folder(out.parent)
     in_air = Medium.AIR_BEHIND_PORT if air_port else Medium.AIR
     places = [(path, medium) for path, medium in ((air, in_air), (water, Medium.WATER)) if path is not None]
     sets = tuple(find_boards(path, medium, board, tick) for path, medium in places)

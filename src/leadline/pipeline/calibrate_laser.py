@@ -36,6 +36,7 @@ from leadline.evaluation.laser_charts import (
     station_figures,
 )
 from leadline.evaluation.laser_report import Figure, Table, write_laser_page
+from leadline.files import make_folder
 from leadline.pipeline.build import parse_water_state
 from leadline.pipeline.calibrate_cameras import now
 from leadline.rig import Rig
@@ -77,6 +78,7 @@ def laser(
     tick: Tick = lambda done, total: None,
 ) -> LaserReport:
     """Calibrate the laser of a rig and write the rig. InputError names the dive, or what is missing."""
+    make_folder(out.parent)
     if is_range_folder(Path(dive)):
         report = _from_boards(Path(dive), rig_file, board, tick)
     else:
@@ -101,6 +103,7 @@ def water_range(
     if rig.port is None and not refined:
         raise InputError("the rig has no port", rig_file, "calibrate the cameras in water, or add --refine")
     source = open_source(dive)
+    make_folder(out.parent)
     with _of(dive):
         samples = _fitting(source, rig, tick)
         if refined:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from leadline.errors import InputError
-from leadline.files import write_whole
+from leadline.files import make_folder, write_whole
 
 CAPTURE, ASIDE = "capture.json", "set_aside"
 _UNDONE = ".part"
@@ -29,11 +29,8 @@ class CaptureFolder:
         self.out, self.places, self._kind = out, tuple(places), dict(kind)
         self.notes: dict[str, Any] = {}
         _check(out, self._kind)
-        try:
-            for place in self.places:
-                (out / place).mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"cannot be written ({error.strerror})", str(out), "give a folder that can be") from error
+        for place in self.places:
+            make_folder(out / place)
         if (out / CAPTURE).is_file():
             self.notes = json.loads((out / CAPTURE).read_text(encoding="utf-8")).get("shots", {})
         self._tidy()

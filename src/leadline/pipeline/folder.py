@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from itertools import count
 from pathlib import Path
 
+from leadline import files
 from leadline.errors import InputError
 
 SOLUTIONS, CONFIG, RIG, SUMMARY, PICTURE, RECORDING, SMOOTHED, EVENTS = (
@@ -52,9 +53,4 @@ def make_folder(out: Path) -> None:
 
     Its recording stays, unless this run records too: it may be all that there is of a dive.
     """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        for name in OURS:
-            (out / name).unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot be written ({error.strerror})", str(out), "give a folder that can be") from error
+    files.make_folder(out, without=OURS)

@@ -20,7 +20,7 @@ from leadline.errors import InputError
 from leadline.evaluation.detection import evaluate_detections
 from leadline.evaluation.detector_report import LEAST_SCORE, DetectorReport, write_detector_report
 from leadline.evaluation.summary import versions
-from leadline.files import write_whole
+from leadline.files import make_folder, write_whole
 from leadline.recognition.detector import Detector
 from leadline.samples import Detection, Image
 from leadline.training.dataset import UNSURE, Dataset, Example, read_dataset
@@ -86,7 +86,7 @@ def train(
     plan: Plan, progress: Progress, tick: Callable[[int, int | None], None] = lambda done, total: None
 ) -> Trained:
     """Train, export, and judge on the test part. What was cut off goes on; what is finished is judged again."""
-    plan.out.mkdir(parents=True, exist_ok=True)
+    make_folder(plan.out)
     write_whole(plan.out / SETTINGS, yaml.safe_dump(plan.record, sort_keys=False))
     write_whole(plan.out / SPLIT, _split_table(plan.split))
     model = plan.out / MODEL

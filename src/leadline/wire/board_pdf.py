@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from leadline.calibration.board import Board, charuco_board
-from leadline.errors import InputError
+from leadline.files import write_whole
 
 POINTS_PER_M = 72 / 0.0254
 _RULER_M = 0.1
@@ -51,10 +51,7 @@ def write_board(path: Path, board: Board) -> tuple[float, float]:
     drawing = [f"{' '.join(f'{v * POINTS_PER_M:.4f}' for v in r)} re f" for r in rectangles]
     note = f"{told}. Print at 100 %: the line must be {min(_RULER_M, width) * 1e3:.0f} mm long. Glue it flat."
     drawing.append(f"BT /F1 7 Tf {margin_pt:.2f} {margin_pt * 0.5:.2f} Td ({note}) Tj ET")
-    try:
-        path.write_bytes(_pdf(width * POINTS_PER_M, height * POINTS_PER_M, "\n".join(drawing)))
-    except OSError as error:
-        raise InputError(f"cannot be written ({error.strerror})", str(path), "check the folder") from error
+    write_whole(path, _pdf(width * POINTS_PER_M, height * POINTS_PER_M, "\n".join(drawing)))
     return width, height
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from leadline.errors import InputError
+from leadline.files import make_folder
 from leadline.samples import Image, LaserRange, Sample, StereoFrame, Truth, VehicleMotion
 from leadline.wire.dive_folder import MOTION_SIGMAS, ROTATION, VELOCITY
 from leadline.wire.images import SUFFIX, encode_jpeg, encode_png, image_format
@@ -71,8 +72,7 @@ def new_folder(folder: Path) -> Path:
     """Make the folder; InputError if it holds something already."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError("there is something already", str(folder), "give a new or an empty folder")
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
+    return make_folder(folder)
 
 
 def _motion_cells(motion: VehicleMotion) -> list[str]:

@@ -31,6 +31,7 @@ from mcap_ros2._dynamic import serialize_dynamic
 from mcap_ros2.decoder import DecoderFactory
 
 from leadline.errors import InputError, in_words
+from leadline.files import make_folder
 from leadline.samples import NS_PER_S
 from leadline.wire import mcap_records as layout
 from leadline.wire.ros2_definitions import TOPIC_TYPES, definition
@@ -295,6 +296,7 @@ def recover(path: Path, out: Path) -> Recovery:
         raise InputError("there is a file already", str(out), "give another name with --out")
     damage: list[str] = []
     reader = RecordingReader(path, damage.append)
+    make_folder(out.parent)
     part = out.with_name(out.name + ".part")
     try:
         with part.open("wb") as stream:

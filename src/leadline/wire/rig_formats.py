@@ -22,6 +22,7 @@ import numpy as np
 import yaml
 
 from leadline.errors import InputError
+from leadline.files import write_whole
 from leadline.geometry import Camera, LayeredPort, Pose
 from leadline.rig import Rig
 from leadline.samples import Array
@@ -72,7 +73,7 @@ def write_opencv(path: Path, rig: Rig) -> None:
         rows, columns = np.atleast_2d(matrix).shape
         parts += [f"{name}: !!opencv-matrix", f"   rows: {rows}", f"   cols: {columns}", "   dt: d"]
         parts += [f"   data: [ {values} ]"]
-    _write(path, "\n".join(parts) + "\n")
+    write_whole(path, "\n".join(parts) + "\n")
 
 
 def write_camera_info(folder: Path, rig: Rig) -> list[Path]:
@@ -92,17 +93,9 @@ def write_camera_info(folder: Path, rig: Rig) -> list[Path]:
             "projection_matrix": _matrix(P),
         }
         path = folder / f"{name}.yaml"
-        folder.mkdir(parents=True, exist_ok=True)
-        _write(path, yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120))
+        write_whole(path, yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120))
         out.append(path)
     return out
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot be written ({error.strerror})", str(path), "check the folder") from error
 
 
 def _pinholes(rig: Rig) -> tuple[Camera, Camera]:
