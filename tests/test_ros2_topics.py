@@ -208,12 +208,21 @@ def test_a_broken_picture_is_told_and_taken_back() -> None:
         ("ros2:?pair_s=soon", "pair_s=soon is not a number"),
         ("ros2:?pair_s=7", "pair_s=7 is not a time"),
         ("ros2:?left", "'left' is not one option"),
+        ("ros2:?left=bad topic!", "'bad topic!' is no name of a topic; write it like"),
+        ("ros2:?right=/cam//right", "'/cam//right' is no name of a topic"),
+        ("ros2:?range=/1m", "'/1m' is no name of a topic"),
+        ("ros2:?left_info=/cam/", "'/cam/' is no name of a topic"),
         ("ros2:+uvc:0", "more than one camera"),
     ],
 )
 def test_an_address_that_is_none_is_said_in_one_line(address: str, why: str) -> None:
     with pytest.raises(InputError, match=why):
         open_source(address)
+
+
+@pytest.mark.parametrize("topic", ["/a", "a", "a/b_2", "~/image", "{ns}/image", "_a/B", ""])
+def test_a_topic_as_ros_names_it_is_taken(topic: str) -> None:
+    assert StereoTopics.parsed({"range": topic}, "ros2:").range == topic
 
 
 def test_camera_info_is_looked_for_beside_the_images() -> None:

@@ -38,6 +38,7 @@ INFO_PATIENCE_S = 10.0
 CAMERAS = (Part.LEFT, Part.RIGHT)
 LEFT_SIDE, RIGHT_SIDE, RANGE_SIDE = "left", "right", "range"
 Came = tuple[str, Any, int]  # which topic, the message, when it came (ns)
+TOPIC = re.compile(r"(~/|/)?([A-Z_a-z{][\w{}]*/)*[A-Z_a-z{][\w{}]*", re.ASCII)  # {ns}: ROS fills it in
 IMAGE_NAME = r"/image[^/]*(/compressed)?$"  # the end of a topic of images
 IMAGE, COMPRESSED, RANGE, INFO = (
     f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "Range", "CameraInfo")
@@ -80,6 +81,10 @@ class StereoTopics:
     def checked(self, where: str) -> StereoTopics:
         if not self.left or not self.right or self.left == self.right:
             raise InputError("left and right need a topic each", where, "give left=/...&right=/...")
+        for topic in filter(None, (self.left, self.right, self.range, self.left_info, self.right_info)):
+            if not TOPIC.fullmatch(topic):
+                fix = "write it like /cam/left/image_raw: letters, digits and _ between slashes, no digit first"
+                raise InputError(f"{topic!r} is no name of a topic", where, fix)
         if not 0 <= self.pair_s < 1:
             raise InputError(f"pair_s={self.pair_s:g} is not a time between two stamps", where, "write pair_s=0.02")
         return self
