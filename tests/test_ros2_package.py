@@ -15,6 +15,7 @@ import pytest
 import setuptools
 import yaml
 
+from leadline.errors import InputError
 from leadline.pipeline.ros2 import NODES, LocalizerNode, SensorNode
 from leadline.sources.ros2 import StereoTopics
 
@@ -96,6 +97,14 @@ class FakeNode:
     def parameter(self, name: str, default: Any) -> Any:
         self.asked.add(name)
         return self.said.get(name, default)
+
+
+def test_all_parameters_that_are_wrong_are_told_at_once() -> None:
+    node = FakeNode(left="/no topic", rig="nosuch.yaml", target="banana", config="none.yaml", water_state="wet")
+    with pytest.raises(InputError) as told:
+        LocalizerNode().configure(node)  # type: ignore[arg-type]
+    for wrong in ("'/no topic'", "nosuch.yaml", "banana", "none.yaml", "'wet'"):
+        assert wrong in str(told.value)
 
 
 def test_the_configuration_sets_parameters_that_the_nodes_read() -> None:

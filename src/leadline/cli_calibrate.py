@@ -50,8 +50,8 @@ def cameras(
 ) -> None:
     """Cameras, their pose, the port and the water's index from boards in air and in water."""
     from leadline.calibration.cameras import CameraSettings  # noqa: PLC0415  heavy imports wait until they are needed
+    from leadline.pipeline.build import stated_water  # noqa: PLC0415
     from leadline.pipeline.calibrate_cameras import calibrate  # noqa: PLC0415
-    from leadline.pipeline.calibrate_laser import water_state as stated_water  # noqa: PLC0415
 
     settings = CameraSettings(port_thickness, port_index, stated_water(water_state), warp)
     target, behind_port = make_board(board, square, charuco, marker), air_port is AirPort.WITH
@@ -138,10 +138,11 @@ def water_range(
 ) -> None:
     """In water: what the readings mean, and the paper's f'; with --refine also port, index and cameras."""
     from leadline.pipeline import calibrate_laser  # noqa: PLC0415
+    from leadline.pipeline.build import stated_water  # noqa: PLC0415
 
     _optional_board(board, square)  # a spot needs none; it is checked all the same
     guess = calibrate_laser.port_guess(port_distance, port_thickness, port_index)
-    water = calibrate_laser.water_state(water_state)
+    water = stated_water(water_state)
     with progress("looking for the spot") as tick:
         report = calibrate_laser.water_range(dive, rig, out, refined=refine, guess=guess, water=water, tick=tick)
     _say(report, out)

@@ -153,13 +153,27 @@ def parse_water_state(text: str) -> WaterState:
     return WaterState(values["temperature"], values.get("salinity", 0.0), values.get("depth", 0.0))
 
 
+def stated_water(text: str | None) -> WaterState | None:
+    """`salinity=35,temperature=12,depth=30`. InputError for anything else."""
+    try:
+        return None if text is None else parse_water_state(text)
+    except ValueError as error:
+        fix = "give --water-state salinity=PSU,temperature=C,depth=M"
+        raise InputError(str(error), f"--water-state {text}", fix) from error
+
+
+def stated_target(text: str) -> Target:
+    """What the user says. InputError for what is none."""
+    try:
+        return parse_target(text)
+    except ValueError as error:
+        raise InputError(str(error), "--target") from error
+
+
 def _target(source: Source, text: str | None) -> Target:
     """What the user says; else what is in the simulated scene; else nothing is assumed."""
     if text is not None:
-        try:
-            return parse_target(text)
-        except ValueError as error:
-            raise InputError(str(error), "--target") from error
+        return stated_target(text)
     source = (source.of or source) if isinstance(source, LiveSource) else source
     if not isinstance(source, SimulatedSource):
         return Surface()

@@ -37,7 +37,6 @@ from leadline.evaluation.laser_charts import (
 )
 from leadline.evaluation.laser_report import Figure, Table, write_laser_page
 from leadline.files import make_folder
-from leadline.pipeline.build import parse_water_state
 from leadline.pipeline.calibrate_cameras import now
 from leadline.rig import Rig
 from leadline.rig_derivatives import Medium
@@ -133,15 +132,6 @@ def port_guess(distance_m: float | None, thickness_m: float | None, index: float
     if index is not None:
         guess = dataclasses.replace(guess, index=index, index_sigma=0.002)
     return guess
-
-
-def water_state(text: str | None) -> WaterState | None:
-    """`salinity=35,temperature=12,depth=30`. InputError for anything else."""
-    try:
-        return None if text is None else parse_water_state(text)
-    except ValueError as error:
-        fix = "give --water-state salinity=PSU,temperature=C,depth=M"
-        raise InputError(str(error), f"--water-state {text}", fix) from error
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from leadline.config import Config
 from leadline.errors import InputError
 from leadline.evaluation.drawing import draw_detections
 from leadline.guidance import Guide
-from leadline.pipeline.build import Job, build_job
+from leadline.pipeline.build import Job, build_job, stated_target, stated_water
 from leadline.pipeline.loop import Track
 from leadline.pipeline.watch import Watch
 from leadline.rig import Rig
@@ -162,9 +162,14 @@ class LocalizerNode(Working):
 
     def configure(self, node: RosNode) -> None:
         self.node = node
-        defaults = StereoTopics()
-        said = {name: node.parameter(name, getattr(defaults, name)) for name in TOPIC_PARAMETERS}
-        self._wanted = StereoTopics(**said).with_infos().checked(node.name)
+        _require_all(
+            lambda: _stereo_topics(node),
+            lambda: _text(node, "rig") and Rig.load(_text(node, "rig")),
+            lambda: _text(node, "target") and stated_target(_text(node, "target")),
+            lambda: _settings(node),
+            lambda: stated_water(_text(node, "water_state") or None),
+        )
+        self._wanted = _stereo_topics(node)
         self._source = LiveSource(f"ros2:{node.name}", [self._topics], self._clock)
         self._build = self._builder(node)
         if _text(node, "rig"):
@@ -172,10 +177,8 @@ class LocalizerNode(Working):
         _text(node, "record")
 
     def _builder(self, node: RosNode) -> Callable[[Source], Job]:
-        rig, target, model, config, water = (
-            _text(node, name) or None for name in ("rig", "target", "model", "config", "water_state")
-        )
-        settings = Config.load(Path(config)) if config else Config()
+        rig, target, model, water = (_text(node, name) or None for name in ("rig", "target", "model", "water_state"))
+        settings = _settings(node)
 
         def build(source: Source) -> Job:
             return build_job(
@@ -276,6 +279,29 @@ def spin(names: Sequence[str], arguments: Sequence[str] = ()) -> None:
         return
     finally:
         ros.close()
+
+
+def _require_all(*checks: Callable[[], object]) -> None:
+    """InputError with all that is wrong: one that is mended is not followed by the next at the next start."""
+    wrong = []
+    for check in checks:
+        try:
+            check()
+        except InputError as error:
+            wrong.append(str(error))
+    if wrong:
+        raise InputError(" | ".join(wrong))
+
+
+def _stereo_topics(node: RosNode) -> StereoTopics:
+    defaults = StereoTopics()
+    said = {name: node.parameter(name, getattr(defaults, name)) for name in TOPIC_PARAMETERS}
+    return StereoTopics(**said).with_infos().checked(node.name)
+
+
+def _settings(node: RosNode) -> Config:
+    file = _text(node, "config")
+    return Config.load(Path(file)) if file else Config()
 
 
 def _text(node: RosNode, name: str) -> str:
