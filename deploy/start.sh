@@ -9,5 +9,6 @@ if [ ! -f "$settings" ]; then
     echo "leadline: no $settings: write LEADLINE_SOURCE=... and LEADLINE_OPTIONS='--rig rig.yaml --target sphere:0.34' into it (docs/vehicle.md)" >&2
     exit 2
 fi
-. "./$settings"
+case $settings in /*) ;; *) settings=./$settings ;; esac # without a slash the shell would look in PATH
+. "$settings"
 exec leadline run "${LEADLINE_SOURCE:?}" --out "dives/$(date -u +%Y%m%dT%H%M%SZ)" ${LEADLINE_PAGE:+--view-at "$LEADLINE_PAGE"} --headless ${LEADLINE_OPTIONS:-}

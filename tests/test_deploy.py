@@ -61,6 +61,16 @@ def test_settings_make_a_run_each_into_a_folder_of_its_own(vehicle: Path) -> Non
     assert "--view-at" not in start(vehicle).stdout
 
 
+def test_settings_may_stand_anywhere(vehicle: Path) -> None:
+    for place in ("there.env", "etc/there.env", str(vehicle / "etc" / "there.env")):
+        file = vehicle / place
+        file.parent.mkdir(exist_ok=True)
+        file.write_text("LEADLINE_SOURCE=uvc:7\n")
+        done = start(vehicle, LEADLINE_SETTINGS=place)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.split()[:2] == ["run", "uvc:7"]
+
+
 def test_the_containers_labels_are_what_an_extension_needs() -> None:
     text = (ROOT / "Dockerfile").read_text()
     labels = dict(re.findall(r"LABEL (\w+)='(.*)'", text))
@@ -83,11 +93,44 @@ def test_the_image_copies_only_what_is_there() -> None:
         assert all((ROOT / name).exists() for name in line.split()), line
 
 
-def test_the_unit_ends_a_dive_as_ctrl_c_does_and_starts_again() -> None:
+def unit_service() -> configparser.SectionProxy:
     unit = configparser.ConfigParser(strict=False, interpolation=None)
     unit.optionxform = str  # type: ignore[assignment,method-assign]
     unit.read(ROOT / "deploy" / "leadline.service")
-    service = unit["Service"]
+    return unit["Service"]
+
+
+def test_the_unit_ends_a_dive_as_ctrl_c_does_and_starts_again() -> None:
+    service = unit_service()
     assert service["KillSignal"] == "SIGINT"
     assert service["Restart"] == "always"
     assert service["ExecStart"].endswith("start.sh")
+
+
+def test_the_document_makes_all_that_the_unit_names() -> None:
+    service = unit_service()
+    told = (ROOT / "docs" / "vehicle.md").read_text()
+    commands = [line for line in told.splitlines() if line.startswith("sudo ")]
+
+    def command(*words: str) -> str:
+        found = [line for line in commands if all(word in line.split() for word in words)]
+        assert len(found) == 1, words
+        return found[0]
+
+    user, home = service["User"], service["WorkingDirectory"]
+    assert home == f"/var/lib/{service['StateDirectory']}"
+    made = command("useradd", "--system", user, "--home-dir", home)
+    assert sorted(made.split("--groups ")[1].split()[0].split(",")) == sorted(service["SupplementaryGroups"].split())
+    command("install", "-d", "-o", user, home)
+    command("install", "leadline.env", "rig.yaml", f"{home}/")
+    command("install", "755", "deploy/start.sh", service["ExecStart"])
+    command("install", "deploy/leadline.service", "/etc/systemd/system/leadline.service")
+    command("systemctl", "enable", "--now", "leadline")
+    programs = Path(service["Environment"].removeprefix("PATH=").split(":")[0])
+    command("python3", "-m", "venv", str(programs.parent))
+    assert f"sudo {programs}/pip install" in told
+
+
+def test_nothing_installs_the_package_from_an_index() -> None:
+    for path in (ROOT / "README.md", ROOT / "Dockerfile", *(ROOT / "docs").glob("*.md"), *ROOT.glob("ros2/**/*.md")):
+        assert not re.search(r"pip3? install.*['\" ]leadline", path.read_text()), path
