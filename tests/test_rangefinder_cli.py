@@ -12,6 +12,8 @@ from leadline.cli import main
 from leadline.samples import LaserRange
 from leadline.sources.clock import LiveClock
 from leadline.sources.laser_serial import SerialLaser
+from leadline.wire.laser_answers import can_state
+from leadline.wire.laser_protocols import PROTOCOLS
 
 
 def test_its_port_gives_readings_until_it_is_stopped() -> None:
@@ -31,6 +33,38 @@ def test_its_port_gives_readings_until_it_is_stopped() -> None:
         assert device.returncode == 0
     assert address.endswith("?protocol=jrt")
     assert readings[:3] == [1.25] * 3
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize(
+    "impossible",
+    [
+        ("--range", "inf"),
+        ("--range", "nan"),
+        ("--range", "1e300"),
+        ("--range", "2000"),
+        ("--sway", "inf"),
+        ("--sway", "nan"),
+        ("--range", "300", "--sway", "900"),
+        ("--rate", "inf"),
+        ("--rate", "nan"),
+    ],
+)
+def test_what_a_device_cannot_say_is_one_line_at_the_start(
+    protocol: str, impossible: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["rangefinder", "--protocol", protocol, *impossible]) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err.startswith("leadline: ")
+    assert told.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_every_protocol_states_what_the_message_promises(protocol: str) -> None:
+    assert can_state(protocol, 0.01)
+    assert can_state(protocol, 300.0)
+    assert can_state(protocol, 123.456)
 
 
 def test_an_unknown_protocol_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:

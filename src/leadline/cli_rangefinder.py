@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated
 
 import typer
@@ -15,12 +14,9 @@ def rangefinder(
     rate_hz: Annotated[float, typer.Option("--rate", min=0.1, help="Readings a second.")] = 3.0,
 ) -> None:
     """A simulated rangefinder on a serial port, to try a set-up out; until Ctrl-C."""
-    from leadline.sources.laser_simulated import SimulatedLaser  # noqa: PLC0415  heavy imports wait until needed
+    from leadline.sources.laser_simulated import SimulatedLaser, swaying  # noqa: PLC0415  heavy imports wait until needed
 
-    def distance(t_s: float) -> float:
-        return max(range_m + sway_m * math.sin(0.5 * t_s), 0.01)
-
-    with SimulatedLaser(protocol, distance, rate_hz) as laser:
+    with SimulatedLaser(protocol, swaying(protocol, range_m, sway_m), rate_hz) as laser:
         typer.echo(f"serial:{laser.port}?protocol={protocol}")
         try:
             laser.wait()

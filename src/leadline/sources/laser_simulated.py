@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import threading
@@ -9,12 +10,27 @@ import time
 import tty
 from collections.abc import Callable
 
-from leadline.wire.laser_answers import Mood, encode_error, encode_reading
+from leadline.errors import InputError
+from leadline.wire.laser_answers import Mood, can_state, encode_error, encode_reading
 from leadline.wire.laser_protocols import make_protocol
+
+NEAREST_M = 0.01
+FASTEST_HZ = 1000.0
+
+
+def swaying(protocol: str, range_m: float, sway_m: float) -> Callable[[float], float]:
+    """A distance at a time (s) that swings to and fro. InputError where the protocol cannot state all of it."""
+    nearest_m, farthest_m = max(range_m - sway_m, NEAREST_M), range_m + sway_m
+    if not all(can_state(protocol, one) for one in (nearest_m, farthest_m)):
+        fix = "give --range and --sway that stay between 0.01 and 300 m"
+        raise InputError(f"{protocol} cannot state {range_m:g} m, give or take {sway_m:g} m", "rangefinder", fix)
+    return lambda t_s: max(range_m + sway_m * math.sin(0.5 * t_s), NEAREST_M)
 
 
 class SimulatedLaser:
     """``port`` is what to open. range_m: the distance at a time (s) since the start; None: too little light.
+
+    InputError for a protocol or a rate that is none.
 
     Use it in a ``with``; ``unplug`` takes the port away, a new object is another port. Linux and macOS only.
     """
@@ -22,6 +38,8 @@ class SimulatedLaser:
     def __init__(
         self, protocol: str, range_m: Callable[[float], float | None] = lambda t_s: 2.0, rate_hz: float = 3.0
     ) -> None:
+        if not 0 < rate_hz <= FASTEST_HZ:
+            raise InputError(f"{rate_hz:g} is no rate", "rangefinder", f"give up to {FASTEST_HZ:g} readings a second")
         self._protocol, self._range_m, self._period_s = protocol, range_m, 1 / rate_hz
         self._mood = Mood(make_protocol(protocol))
         self._master, slave = os.openpty()

@@ -5,12 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from leadline.wire.laser_lightware import DISTANCE, packet
-from leadline.wire.laser_protocol import LaserProtocol
+from leadline.wire.laser_protocol import LaserProtocol, LaserReading
+from leadline.wire.laser_protocols import make_protocol
+
+_COARSEST_M = 0.0051  # whole centimetres
 
 
 def encode_reading(protocol: str, range_m: float, quality: float = 50.0) -> bytes:
     """One reading, as a device of that name sends it (KeyError: no such name)."""
     return _READINGS[protocol](range_m, round(quality))
+
+
+def can_state(protocol: str, range_m: float) -> bool:
+    """Whether a device of that name can say this distance, so that it is understood. InputError: no such name."""
+    parser = make_protocol(protocol)
+    try:
+        heard = parser.feed(encode_reading(protocol, range_m))
+    except (OverflowError, ValueError):  # more than its frame has bytes for, or no number
+        return False
+    return any(isinstance(one, LaserReading) and abs(one.range_m - range_m) <= _COARSEST_M for one in heard)
 
 
 def encode_error(protocol: str) -> bytes:
