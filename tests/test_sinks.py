@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from itertools import islice
 from pathlib import Path
 
@@ -50,6 +51,18 @@ def test_solutions_table_as_promised(tmp_path: Path) -> None:
         "1700000000.123456789,2,valid,-0.05,0.03,2.37,2.2007172,0.0024,1e-06,2e-07,3e-07,4e-06,5e-07,6e-06,"
         "0,0.01,-0.25,stereo+laser,spot:gate; 3 sigma & more+size:cut off",
     ]
+
+
+def test_a_velocity_that_nobody_knows_is_neither_empty_nor_nought(tmp_path: Path) -> None:
+    still = dataclasses.replace(SOLUTION, velocity_m_s=None)
+    path = tmp_path / "solutions.csv"
+    sink = SolutionsCsv(path)
+    sink.solution(still)
+    sink.close()
+    assert ",6e-06,nan,nan,nan,stereo+laser," in path.read_text()
+    (read,) = read_solutions(path)
+    assert read.velocity_m_s is None
+    assert read.position_m == pytest.approx(still.position_m)
 
 
 def test_solutions_are_read_back(tmp_path: Path) -> None:

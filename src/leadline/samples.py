@@ -169,7 +169,8 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """Where the target is at ``t_ns``. Arrays are None only when ``status`` is lost."""
+    """Where the target is at ``t_ns``. Arrays are None only when ``status`` is lost; the velocity also where the method
+    has none: the paper's, and every frame alone."""
 
     t_ns: int
     stage: Stage

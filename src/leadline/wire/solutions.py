@@ -1,7 +1,8 @@
 """``solutions.csv`` and ``smoothed.csv``: one row a solution.
 
 Numbers are written with nine significant digits (a nanometre at a metre, far below any sigma, and the same text on
-every machine that computes the same double); stamps exactly as the source had them. Numbers are empty only when lost.
+every machine that computes the same double); stamps exactly as the source had them. Numbers are empty only when lost;
+a velocity that the method does not have (the paper's, every frame alone) is nan, not empty and not 0.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ _RESERVED = str.maketrans({"+": "&", ",": ";", "\n": " ", "\r": " "})
 def solution_row(solution: Solution) -> list[str]:
     """The cells of one row, in the order of ``HEADER``."""
     cov = None if solution.cov_m2 is None else np.asarray(solution.cov_m2)[_UPPER]
+    not_known = "" if solution.status is Status.LOST else "nan"
     return [
         format_stamp(solution.t_ns),
         str(int(solution.stage)),
@@ -34,7 +36,7 @@ def solution_row(solution: Solution) -> list[str]:
         _number(solution.range_m),
         _number(solution.range_sigma_m),
         *_numbers(cov, 6),
-        *_numbers(solution.velocity_m_s, 3),
+        *([not_known] * 3 if solution.velocity_m_s is None else _numbers(solution.velocity_m_s, 3)),
         "+".join(str(kind) for kind in solution.used),
         "+".join(f"{one.kind}:{one.reason.translate(_RESERVED)}" for one in solution.rejected),
     ]
@@ -73,6 +75,7 @@ def _solution(row: Row) -> Solution:
         raise ValueError(f"{len(missing)} of {len(HEADER)} cells are missing, the first {missing[0]}")
     t_ns = row.stamp("t_s")
     cov = _vector(row, _COV)
+    knows_velocity = row.cells[_VELOCITY[0]] != "nan"
     return Solution(
         t_ns,
         Stage(int(row.text("stage"))),
@@ -81,7 +84,7 @@ def _solution(row: Row) -> Solution:
         None if cov is None else cov[[0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(3, 3),
         _optional(row, "range_m"),
         _optional(row, "range_sigma_m"),
-        _vector(row, _VELOCITY),
+        _vector(row, _VELOCITY) if knows_velocity else None,
         tuple(Kind(kind) for kind in row.cells["used"].split("+") if kind),
         tuple(_rejected(text, t_ns) for text in row.cells["rejected"].split("+") if text),
     )
