@@ -198,13 +198,17 @@ def test_a_drawing_without_laser_in_air_as_json(capsys: pytest.CaptureFixture[st
         (["rendered", *DRAWING], "give a rig or draw one"),
         (["none.yaml"], "none.yaml"),
         (["--baseline", "0.1"], "--baseline and --focal go together"),
-        (["--baseline", "-1", "--focal", "1400"], "is not above 0"),
+        (["--index", "1.34"], "give a rig or draw one"),
+        (["--baseline", "-1", "--focal", "1400"], "--baseline: -1 is not from 0.005 to 9 m"),
         (["--baseline", "0.063", "--focal", "1400", "--size", "big"], "is not a size"),
         (["--baseline", "0.063", "--focal", "1400", "--laser", "1,2"], "is not three numbers"),
-        (["--baseline", "0.063", "--focal", "1400", "--index", "0.9"], "drawn rig"),
-        (["--baseline", "0.063", "--focal", "1400", "--laser", "0,0,0:0,0,0"], "drawn rig"),
+        (["--baseline", "0.063", "--focal", "1400", "--index", "0.9"], "--index: 0.9 is not from 1.3"),
+        (["--baseline", "0.063", "--focal", "1400", "--laser", "0,0,0:0,0,0"], "does not go ahead"),
         (["rendered", "--target", "cube"], "is not a target"),
-        (["rendered", "--noise", "-1"], "is not above 0"),
+        (["rendered", "--noise", "-1"], "--noise: -1 is not from 0.01"),
+        (["rendered", "--attenuation", "inf"], "--attenuation: inf is not from 0 to 10 1/m"),
+        (["rendered", "--texture", "inf"], "--texture: inf"),
+        (["rendered", "--at", "nan"], "--at: nan"),
         (["rendered", "--boards", "-1"], "--boards"),
         (["--baseline", "3", "--focal", "1400"], "--boards 0"),
     ],
@@ -214,3 +218,67 @@ def test_a_mistake_is_one_line(arguments: list[str], said: str, capsys: pytest.C
     told = capsys.readouterr().err
     assert said in told
     assert told.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        "--index=1.34",
+        "--index=nan",
+        "--port=nan",
+        "--glass=0.002",
+        "--size=640x360",
+        "--laser=0,0,0",
+        "--laser-sigma=-1",
+    ],
+)
+def test_a_rig_is_not_redrawn(option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Planned as if nothing had been said before."""
+    assert main(["plan", "rendered", option]) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err.startswith(
+        f"leadline: {option.partition('=')[0]}: give a rig or draw one, not both; leave that out"
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--port=-0.01"], "--port: -0.01 is not from 0 to 1 m (0: in air)"),
+        (["--port=nan"], "--port: nan"),
+        (["--port=0", "--index=1.34"], "--index: a rig in air (--port 0) has none; leave it out"),
+        (["--port=0", "--glass=0.002"], "--glass: a rig in air"),
+        (["--glass=-1"], "--glass: -1 is not from 0 to 0.1 m"),
+        (["--glass=5"], "--glass: 5"),
+        (["--index=133"], "--index: 133 is not from 1.3 to 1.5 (water: 1.33 to 1.35)"),
+        (["--focal=1"], "--focal: 1 px is no lens before images 1920 px wide; give 384 to 38400"),
+        (["--focal=nan"], "--focal: nan"),
+        (["--size=1x1"], "--size: '1x1' is not a size"),
+        (["--laser=0,0.1,0:0,0,-1"], "--laser: a beam along 0,0,-1 does not go ahead"),
+        (["--laser=nan,0,0"], "--laser: 'nan,0,0' is not three numbers"),
+        (["--laser-sigma=0.01"], "--laser-sigma: there is no laser"),
+        (["--laser=0,0.1,0", "--laser-sigma=nan"], "--laser-sigma: nan"),
+    ],
+)
+def test_a_rig_that_nobody_can_build_is_not_planned(
+    options: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["plan", "--baseline", "0.1", "--focal", "1400", *options]) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert said in told.err
+    assert told.err.count("\n") == 1
+
+
+def test_a_plan_without_any_number_is_none(capsys: pytest.CaptureFixture[str]) -> None:
+    hopeless = ["--target", "plane", "--noise", "100", "--texture", "0.01", "--boards", "0"]
+    assert main(["plan", "--baseline", "0.1", "--focal", "38400", *hopeless]) == 2
+    assert "nothing can be measured of the target from 0.2 to 5 m" in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_the_rig_cannot_see_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:
+    """Distances within a deep port, a ball that reaches behind the cameras: no NaN, no warning."""
+    assert main(["plan", "--baseline", "0.1", "--focal", "500", "--port", "0.5", "--boards", "0"]) == 0
+    assert "nan" not in capsys.readouterr().out

@@ -58,6 +58,8 @@ def make_plan(
 
     rehearsal = Rehearsal(rig if stated else calibrated(rig, 1.0), target, conditions, config)
     cells = table(rehearsal)
+    if not any(cell.each for cell in cells):
+        raise ValueError(f"nothing can be measured of the target from {DISTANCES_M[0]:g} to {DISTANCES_M[-1]:g} m")
     bare = rehearsal.without_laser()
     ways = [aimed(rehearsal.rig, cell.distance_m) for cell in cells if cell.place == AIMED]
     return Plan(

@@ -233,6 +233,8 @@ def _grazing(rig: Rig, target: Sphere, settings: OutlineConfig, x: Array, side: 
     outward = (rim - ball[:3]) / target.radius_m(x)
     q_px, jacobian = rig.project_with_jacobian(rim + pupil, side)
     worth = 1 / np.linalg.norm(np.einsum("nij,nj->ni", jacobian, outward), axis=1)
+    if np.isnan(worth).all():  # a ball that reaches behind the port
+        return np.empty((0, len(x))), worth[:0]
     reach_px = max(min(settings.reach) * target.radius_m(x) / float(np.nanmedian(worth)), 5.0) + 3
     seen = _inside(q_px, rig.left if side == "left" else rig.right, reach_px)
     return np.column_stack([-outward[seen], *[-np.ones(seen.sum())] * len(x[3:])]), worth[seen]

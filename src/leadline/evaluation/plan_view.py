@@ -53,8 +53,8 @@ def views(rig: Rig, distances_m: Sequence[float]) -> list[View]:
     out = []
     for z in distances_m:
         share, disparity = _overlap(rig, z)
-        left, right = _spot(rig, z)
-        out.append(View(z, share, disparity, left, right))
+        if np.isfinite(disparity):  # not so within the port
+            out.append(View(z, share, disparity, *_spot(rig, z)))
     return out
 
 
