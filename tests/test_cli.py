@@ -95,6 +95,31 @@ def test_the_papers_method_and_every_frame_alone(place: Path, capsys: pytest.Cap
     assert summary(place / "alone")["solutions"] == FRAMES
 
 
+@pytest.mark.parametrize("image_id", ["zzz.jpg", 7])
+def test_boxes_of_another_dive(
+    place: Path, tmp_path: Path, image_id: str | int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Known before the run where the names are; of a recording at its end."""
+    strange = [{"image_id": image_id, "bbox": [1, 2, 3, 4], "score": 0.9}]
+    (tmp_path / "strange.json").write_text(json.dumps(strange))
+    with_them = ["--target", "sphere:0.34", "--boxes", str(tmp_path / "strange.json")]
+    told = "no box belongs to any frame of this dive; image_id must be the left image's file name, such as left_05.jpg"
+    assert main(["run", str(place / "dive"), "--out", str(tmp_path / "strange"), *with_them]) == 2
+    assert capsys.readouterr().err == f"leadline: {tmp_path / 'strange.json'}: {told}\n"
+    assert not (tmp_path / "strange").exists()
+    assert main(["run", str(place / "run" / "dive.mcap"), "--out", str(tmp_path / "strange"), *with_them]) == 0
+    assert told in " ".join(capsys.readouterr().out.split())
+    assert summary(tmp_path / "strange")["boxes"] == {"images": 1, "found": 0}
+
+
+def test_an_empty_file_of_boxes_is_told(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (place / "no_boxes.json").write_text("[]")
+    with_them = ["--target", "sphere:0.34", "--boxes", str(place / "no_boxes.json")]
+    assert main(["run", str(place / "dive"), "--out", str(place / "unseen"), *with_them]) == 0
+    assert "the file of boxes is empty: nothing was looked for" in capsys.readouterr().out
+    assert summary(place / "run")["boxes"] == {"images": FRAMES, "found": FRAMES}
+
+
 def test_the_end_of_a_run_says_what_a_pixel_costs(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(place, "again") == 0
     captured = capsys.readouterr()

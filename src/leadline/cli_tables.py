@@ -9,6 +9,7 @@ from rich.table import Table
 
 from leadline.evaluation.accuracy import STAGE_NAMES, Errors, Row, by_stage
 from leadline.pipeline import Report
+from leadline.recognition.boxes import KEY, NO_FRAME
 
 MM = 1000.0
 HEAD = (
@@ -107,6 +108,9 @@ def remarks(summary: Mapping[str, Any]) -> Iterator[str]:
             continue
         first = next(text for text in summary["notices"]["first"] if text.startswith(kind))
         yield f"{count} {kind}, the first: {first.removeprefix(kind + ': ')}"
+    boxes = summary["boxes"]
+    if boxes is not None and not boxes["found"]:
+        yield f"{NO_FRAME}; {KEY}" if boxes["images"] else "the file of boxes is empty: nothing was looked for"
     yield from summary["agreement"]
     if summary["interrupted"]:
         yield "interrupted: everything up to there is kept"

@@ -13,7 +13,7 @@ from leadline.guidance import Guide, camera_on_body
 from leadline.localizer import Localizer, SmoothingLocalizer
 from leadline.paper import PaperLocalizer
 from leadline.pipeline.watch import WatchedFinder
-from leadline.recognition.boxes import Boxes
+from leadline.recognition.boxes import KEY, NO_FRAME, Boxes
 from leadline.recognition.finder import Finder
 from leadline.rig import Rig, shipped_rigs
 from leadline.samples import Detection, Sample, Solution
@@ -50,6 +50,7 @@ class Job:
     seed: int
     filtered: bool = True
     detector: WatchedFinder | None = None
+    boxes: Boxes | None = None  # where they are what finds the target
     outputs: tuple[Sink, ...] = ()  # beside the run's folder; the run closes them
 
 
@@ -82,7 +83,8 @@ def build_job(
         source.mount.T_body_left = camera_on_body(rig)
     require_size(rig, source)
     shape = _target(source, target)
-    finder = _finder(shape, rig, model, boxes, config)
+    given = None if boxes is None else _boxes(boxes, source)
+    finder = given or _finder(shape, rig, model, config)
     watched = None if finder is None else WatchedFinder(finder, live=source.live)
     return Job(
         source=source,
@@ -93,6 +95,7 @@ def build_job(
         seed=seed,
         filtered=filtered,
         detector=watched,
+        boxes=given,
         outputs=_outputs(mavlink, ros2, rig, config),
     )
 
@@ -188,10 +191,15 @@ def _target(source: Source, text: str | None) -> Target:
     return Surface()
 
 
-def _finder(target: Target, rig: Rig, model: Path | None, boxes: Path | None, config: Config) -> Finder | None:
-    """Boxes or a model where given; the shipped ball and buoy detector, but for a hull or a pile: they are the view."""
-    if boxes is not None:
-        return Boxes(boxes)
+def _boxes(file: Path, source: Source) -> Boxes:
+    boxes = Boxes(file)
+    if source.frame_names is not None and not boxes.belong_to(source.frame_names):
+        raise InputError(NO_FRAME, str(file), KEY)
+    return boxes
+
+
+def _finder(target: Target, rig: Rig, model: Path | None, config: Config) -> Finder | None:
+    """A model where given; the shipped ball and buoy detector, but for a hull or a pile: they are the view."""
     if model is None and isinstance(target, Plane | Cylinder):
         return None
     from leadline.recognition.detector import Detector  # noqa: PLC0415  not loaded where boxes are given

@@ -213,6 +213,7 @@ def _summary(job: Job, tracks: list[Track], passed: Passed, errors: dict[str, Er
         "frames": passed.frames.count,
         "readings": passed.readings.count,
         **main.tally.summary(),
+        "boxes": None if job.boxes is None else job.boxes.summary(),
         "agreement": main.localizer.notices,
         "notices": {"counts": job.source.notice_counts, "first": [str(notice) for notice in notices[:NOTICES_KEPT]]},
         "frame_rate_hz": passed.frames.rate_hz,

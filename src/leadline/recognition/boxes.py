@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ from leadline.errors import InputError
 from leadline.samples import Detection, StereoFrame
 
 FIX = "each entry needs image_id (the left image's file name), bbox [x, y, width, height] and score"
+NO_FRAME = "no box belongs to any frame of this dive"
+KEY = "image_id must be the left image's file name, such as left_05.jpg"
 HALF_PX = 0.5  # COCO counts from the first pixel's outer corner, leadline from its centre
 
 
@@ -27,10 +30,23 @@ class Boxes:
             self._found.setdefault(name, []).append(detection)
         for detections in self._found.values():
             detections.sort(key=lambda d: -d.score)
+        self._met: set[str] = set()
 
     def find(self, frame: StereoFrame) -> list[Detection]:
         """The boxes of the frame's left image, best first; empty where the file has none."""
-        return list(self._found.get(Path(frame.name).name, ()))
+        name = Path(frame.name).name
+        found = self._found.get(name, ())
+        if found:
+            self._met.add(name)
+        return list(found)
+
+    def belong_to(self, names: Iterable[str]) -> bool:
+        """Whether there is a box for one of these images, or no box at all: then nothing can be said."""
+        return not self._found or any(Path(name).name in self._found for name in names)
+
+    def summary(self) -> dict[str, int]:
+        """The images with boxes: how many in the file, and how many of them came by."""
+        return {"images": len(self._found), "found": len(self._met)}
 
 
 def _entries(path: Path) -> list[Any]:

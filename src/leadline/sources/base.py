@@ -24,7 +24,8 @@ class Source(ABC):
     """Iterate for samples in arrival order; iterating again replays the same samples.
 
     ``rig`` and ``truth`` come with the dive where it has them; ``frame_count`` is for progress (None: not known);
-    ``image_size`` is (width, height) of the frames where known before the first one. ``notices`` is complete when an
+    ``image_size`` is (width, height) of the frames and ``frame_names`` their names, where known before the first one
+    (None: not known). ``notices`` is complete when an
     iteration has ended; a new iteration starts its list again. ``health``, where it is set, is fed with every sample as
     it comes, before anything is left out, and by a ``live`` source with what it knows of its devices.
     """
@@ -39,11 +40,12 @@ class Source(ABC):
         truth: Sequence[Truth] = (),
         frame_count: int | None = None,
         image_size: tuple[int, int] | None = None,
+        frame_names: Sequence[str] | None = None,
         notices: Sequence[Notice] = (),
         real_time: bool = False,
     ) -> None:
         self.name, self.rig, self.truth = name, rig, list(truth)
-        self.frame_count, self.image_size = frame_count, image_size
+        self.frame_count, self.image_size, self.frame_names = frame_count, image_size, frame_names
         self._standing = list(notices)  # found on opening: they hold for every iteration
         self._passing: list[Notice] = []
         self._counts: Counter[str] = Counter()

@@ -37,6 +37,7 @@ class FolderSource(Source):
             truth=read_truth(truth_path, notices.append) if truth_path.is_file() else (),
             frame_count=len(frames),
             image_size=_first_size(self._entries),
+            frame_names=[entry.name for _, entry in frames if isinstance(entry, FrameEntry)],
             notices=notices,
             real_time=real_time,
         )

@@ -58,5 +58,6 @@ def live_dive(source: Source) -> LiveSource:
     """The dive as devices would give it, with its rig and its truth."""
     clock = LiveClock(held=True)
     live = LiveSource(f"live:{source.name}", [lambda: Replay(source, clock)], clock)
-    live.of, live.rig, live.truth, live.image_size = source, source.rig, source.truth, source.image_size
+    live.of, live.rig, live.truth = source, source.rig, source.truth
+    live.image_size, live.frame_names = source.image_size, source.frame_names
     return live
