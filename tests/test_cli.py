@@ -8,17 +8,22 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 import leadline
 from leadline.cli import main
 from leadline.evaluation.accuracy import by_stage, compare
 from leadline.pipeline import build, loop
+from leadline.pipeline.begin import begun
 from leadline.pipeline.demo import demo_job
 from leadline.recognition.boxes import Boxes
-from leadline.samples import Sample, Status
+from leadline.samples import NS_PER_S, LaserRange, Sample, Status, StereoFrame
+from leadline.sources import Source
 from leadline.sources.folder import FolderSource
 from leadline.target import Sphere
 from leadline.wire.solutions import read_solutions
@@ -139,6 +144,53 @@ def test_an_earlier_run_is_replaced_and_its_recording_kept(place: Path) -> None:
     assert summary(place / "twice")["method"] == "paper"
     assert (place / "twice" / "mine.txt").exists()
     assert (place / "twice" / "dive.mcap").exists()
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize(("camera", "told"), [("none.avi", "cannot be opened"), ("small.avi", "the image is 320x180")])
+def test_a_source_that_does_not_begin_costs_nothing_of_the_earlier_run(
+    place: Path, camera: str, told: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(place)
+    film = cv2.VideoWriter("small.avi", cv2.VideoWriter.fourcc(*"MJPG"), 10, (640, 180))
+    for _ in range(5):
+        film.write(np.zeros((180, 640, 3), np.uint8))
+    film.release()
+    before = files(place / "run")
+    arguments = ["--out", "run", "--rig", "run/rig.yaml", "--boxes", "boxes.json", "--record"]
+    assert main(["run", f"uvc:{camera}", *arguments]) == 2
+    captured = capsys.readouterr()
+    assert told in captured.err
+    assert captured.err.count("\n") == 1
+    assert files(place / "run") == before
+
+
+@pytest.mark.parametrize(("frame_at", "opened", "held"), [(2, True, 3), (90, True, 6), (90, False, 62)])
+def test_readings_wait_for_a_frame_but_not_for_ever(place: Path, frame_at: int, opened: bool, held: int) -> None:
+    """Four a second. What waited is given all the same, and in its order."""
+    dive = FolderSource(place / "dive")
+    frame = next(sample for sample in dive if isinstance(sample, StereoFrame))
+    samples: list[Sample] = [LaserRange(i * NS_PER_S // 4, 1.0) for i in range(100)]
+    samples[frame_at] = replace(frame, t_ns=samples[frame_at].t_ns)
+    given: list[Sample] = []
+
+    class Device(Source):
+        @property
+        def opened(self) -> bool:
+            return opened
+
+        def read(self) -> Iterator[Sample]:
+            for sample in samples:
+                given.append(sample)
+                yield sample
+
+    assert dive.rig is not None
+    rest = begun(Device("device"), dive.rig)
+    assert len(given) == held
+    assert [sample.t_ns for sample in rest] == [sample.t_ns for sample in samples]
 
 
 def test_ctrl_c_keeps_what_is_written(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from leadline.errors import InputError
 from leadline.evaluation.accuracy import Errors, compare
 from leadline.evaluation.running import Spread, Stamps, Tally, Thinned
 from leadline.evaluation.summary import accuracy, pixel_cost_m, versions
 from leadline.localizer import SmoothingLocalizer
 from leadline.pipeline import folder
+from leadline.pipeline.begin import begun
 from leadline.pipeline.build import Job, Steps
 from leadline.pipeline.recorder import Recorder
 from leadline.pipeline.watch import Outlet, Watch
@@ -26,7 +26,7 @@ from leadline.samples import Array, LaserRange, Sample, Solution, StereoFrame
 from leadline.sinks import McapSink, Sink, SolutionsCsv
 from leadline.sinks.control import Control
 from leadline.sinks.events import EventsCsv
-from leadline.sources import Source, frame_size
+from leadline.sources import Source
 from leadline.sources.live import LiveSource
 
 NOTICES_KEPT = 100
@@ -96,22 +96,26 @@ def run(
 ) -> Report:
     """Take the source to its end, or to Ctrl-C, and write the run's folder. InputError where that cannot be done.
 
+    Before the source has begun, nothing is written or taken away.
+
     control: for whoever wants to record, to stop and to mark while it runs.
     """
     folder.check_folder(out, job.source.name)
-    folder.make_folder(out)
-    (out / folder.CONFIG).write_text(job.config.dump(), encoding="utf-8")
-    job.rig.save(out / folder.RIG)
     start_s = time.perf_counter()
     with ExitStack() as stack:
         stack.callback(job.source.close)
         watch = Watch(job.source, job.rig, job.detector)
-        tracks = _tracks(job, out, stack, watch)
+        outputs = _outlets(job.outputs, stack, watch)  # they tell of devices that give nothing yet
+        samples = begun(job.source, job.rig)
+        folder.make_folder(out)
+        (out / folder.CONFIG).write_text(job.config.dump(), encoding="utf-8")
+        job.rig.save(out / folder.RIG)
+        tracks = _tracks(job, out, stack, watch, outputs)
         recorder = _recorder(job, out, control or Control(), tracks[0], watch)
         stack.callback(recorder.close)
         if record:
             recorder.start(out / folder.RECORDING)
-        passed = _drive(job, tracks, recorder, progress)
+        passed = _drive(job, samples, tracks, recorder, progress)
     wall_s = time.perf_counter() - start_s
     errors = {track.name: compare(track.solutions.values, job.source.truth, job.target) for track in tracks}
     summary = _summary(job, tracks, passed, errors, wall_s)
@@ -126,16 +130,21 @@ def run(
     return Report(out, summary, errors, folder.written(out, recorder.files))
 
 
-def _tracks(job: Job, out: Path, stack: ExitStack, watch: Watch) -> list[Track]:
+def _outlets(sinks: Iterable[Sink], stack: ExitStack, watch: Watch) -> list[Outlet]:
+    outlets = [watch.outlet(sink) for sink in sinks]
+    for outlet in outlets:
+        stack.callback(outlet.close)
+    return outlets
+
+
+def _tracks(job: Job, out: Path, stack: ExitStack, watch: Watch, outputs: list[Outlet]) -> list[Track]:
     tracks = []
     for number, (name, localizer) in enumerate(job.methods.items()):
         main = number == 0
-        sinks: list[Sink] = [SolutionsCsv(out / (folder.SOLUTIONS if main else folder.solutions_name(name)))]
+        tables: list[Sink] = [SolutionsCsv(out / (folder.SOLUTIONS if main else folder.solutions_name(name)))]
         if main:
-            sinks += [EventsCsv(out / folder.EVENTS), *job.outputs]
-        outlets = [watch.outlet(sink) for sink in sinks]
-        for outlet in outlets:
-            stack.callback(outlet.close)
+            tables.append(EventsCsv(out / folder.EVENTS))
+        outlets = [*_outlets(tables, stack, watch), *(outputs if main else [])]
         tracks.append(Track(name, localizer, outlets, watch if main else None))
     return tracks
 
@@ -147,7 +156,7 @@ def _recorder(job: Job, out: Path, control: Control, main: Track, watch: Watch) 
     return Recorder(out, main.sinks, control, opened, watch, lambda: job.source.now_ns)
 
 
-def _drive(job: Job, tracks: list[Track], recorder: Recorder, progress: Progress) -> Passed:
+def _drive(job: Job, samples: Iterable[Sample], tracks: list[Track], recorder: Recorder, progress: Progress) -> Passed:
     passed = Passed()
     tell = job.source.idle
 
@@ -158,10 +167,9 @@ def _drive(job: Job, tracks: list[Track], recorder: Recorder, progress: Progress
 
     job.source.idle = idle
     try:
-        for sample in job.source:
+        for sample in samples:
             recorder.poll()
             if isinstance(sample, StereoFrame):
-                _require_size(job.rig, sample)
                 passed.frames.add(sample.t_ns)
             elif isinstance(sample, LaserRange):
                 _note_reading(passed, job.rig, sample)
@@ -187,16 +195,6 @@ def _note_reading(passed: Passed, rig: Rig, reading: LaserRange) -> None:
     passed.readings.add(reading.t_ns)
     lit = float("nan") if rig.laser is None else float(np.linalg.norm(rig.laser.point_m(reading.range_m)))
     passed.lit.append((reading.t_s, lit))
-
-
-def _require_size(rig: Rig, frame: StereoFrame) -> None:
-    """A source checks what it knows beforehand; a frame of another size must not slip through to the geometry."""
-    size, wanted = frame_size(frame), (rig.left.width, rig.left.height)
-    if size != wanted:
-        raise InputError(
-            f"the image is {size[0]}x{size[1]}, the rig's left camera is {wanted[0]}x{wanted[1]}",
-            f"frame {frame.name or frame.t_s}", "give the rig that was calibrated at this image size",
-        )  # fmt: skip
 
 
 def _summary(job: Job, tracks: list[Track], passed: Passed, errors: dict[str, Errors], wall_s: float) -> dict[str, Any]:

@@ -62,6 +62,11 @@ class Source(ABC):
         """Let go of devices and files; safe to call twice."""
 
     @property
+    def opened(self) -> bool:
+        """Whether all that there is to open has been."""
+        return True
+
+    @property
     def now_ns(self) -> int:
         """The dive's own time: when the last sample arrived; later only while a live source has nothing to give."""
         return self._now_ns

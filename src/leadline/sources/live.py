@@ -55,6 +55,10 @@ class LiveSource(Source):
         return sum(supervisor.restarts for supervisor in self._supervisors)
 
     @property
+    def opened(self) -> bool:
+        return all(supervisor.opened for supervisor in self._supervisors)
+
+    @property
     def devices(self) -> list[LivePart]:
         """As they are now, while they are read."""
         return [supervisor.part for supervisor in self._supervisors]

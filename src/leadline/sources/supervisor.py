@@ -49,7 +49,7 @@ class Supervisor:
         self._threads: list[threading.Thread] = []
         self._turn = 0  # of the thread that counts; those given up see that it is no longer theirs
         self._beat_ns: int | None = None
-        self._opened = False
+        self.opened = False  # once at least
         self.finished = False
         self.restarts = 0
 
@@ -91,7 +91,7 @@ class Supervisor:
                 self.finished = True
                 return
             except Lost as lost:
-                if not self._opened:
+                if not self.opened:
                     self._inbox.put(InputError(str(lost), part.name, "check the device's name, its cable and rights"))
                     return
                 self._failed(turn, str(lost))
@@ -106,16 +106,15 @@ class Supervisor:
     def _serve(self, part: LivePart, turn: int) -> None:
         self._beat_ns = None  # opening may take its time
         part.open()
-        opened = self._opened
-        self._opened = True
+        again, self.opened = self.opened, True
         while self._mine(turn):
             self._beat_ns = self._clock.now_ns()
             for item in part.read():
                 if not self._mine(turn):
                     return
-                if opened:
+                if again:
                     self._report(State.OK, "", self._clock.now_ns())
-                    opened = False
+                    again = False
                 self._backoff.reset()
                 self._inbox.put(item)
 
