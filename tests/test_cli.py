@@ -17,13 +17,14 @@ import pytest
 
 import leadline
 from leadline.cli import main
+from leadline.errors import InputError
 from leadline.evaluation.accuracy import by_stage, compare
 from leadline.pipeline import build, loop
 from leadline.pipeline.begin import begun
 from leadline.pipeline.demo import demo_job
 from leadline.recognition.boxes import Boxes
 from leadline.samples import NS_PER_S, LaserRange, Sample, Status, StereoFrame
-from leadline.sources import Source
+from leadline.sources import Source, open_source
 from leadline.sources.folder import FolderSource
 from leadline.target import Sphere
 from leadline.wire.solutions import read_solutions
@@ -144,6 +145,23 @@ def test_an_earlier_run_is_replaced_and_its_recording_kept(place: Path) -> None:
     assert summary(place / "twice")["method"] == "paper"
     assert (place / "twice" / "mine.txt").exists()
     assert (place / "twice" / "dive.mcap").exists()
+
+
+def test_an_earlier_recording_is_never_written_over(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(place / "run", place / "again_recorded")
+    earlier = (place / "run" / "dive.mcap").read_bytes()
+    for _ in range(2):
+        assert run(place, "again_recorded", "--record") == 0
+    kept = [place / "again_recorded" / name for name in ("dive.mcap", "dive_2.mcap", "dive_3.mcap")]
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if "earlier" in line] == [
+        f"the earlier recording {kept[0]} is now {path}" for path in kept[1:]
+    ]
+    assert kept[1].read_bytes() == earlier
+    assert str(kept[0]) in lines
+    assert all(len(list(open_source(path))) == len(list(open_source(kept[1]))) for path in kept)
+    with pytest.raises(InputError, match=r"there are 3 recordings in it; name one of them: .*dive\.mcap"):
+        open_source(place / "again_recorded")
 
 
 def files(folder: Path) -> dict[str, bytes]:

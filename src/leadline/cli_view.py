@@ -38,7 +38,7 @@ def watched_run(
 
     if not (view or at):
         with progress(what) as tick:
-            report = run(job, out, record=record, progress=tick)
+            report = run(job, out, record=record, progress=tick, say=typer.echo)
         yield report
         return
 
@@ -50,7 +50,7 @@ def watched_run(
         if not headless and has_screen():
             webbrowser.open(page.url)
         with progress(what) as tick:
-            report = run(page.job, out, record=record, progress=tick, control=page.control)
+            report = run(page.job, out, record=record, progress=tick, control=page.control, say=typer.echo)
         page.ended(report.summary)
         yield report
         typer.echo(f"the page stays as long as somebody looks at it, or until Ctrl-C: {page.url}")

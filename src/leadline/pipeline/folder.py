@@ -33,6 +33,22 @@ def free_recording(out: Path) -> Path:
     return next(out / name for name in names if not (out / name).exists())
 
 
+def keep_recording(out: Path) -> Path | None:
+    """Give an earlier run's ``dive.mcap`` the next free name, which is returned: it may be all there is of a dive.
+
+    None where there is none. InputError where it cannot be moved.
+    """
+    earlier = out / RECORDING
+    if not earlier.exists():
+        return None
+    kept = free_recording(out)
+    try:
+        return earlier.rename(kept)
+    except OSError as error:
+        what = f"cannot be moved to {kept.name} ({error.strerror})"
+        raise InputError(what, str(earlier), "give another folder to --out") from error
+
+
 def check_folder(out: Path, source: str) -> None:
     """InputError unless ``out`` is new, empty, or holds an earlier run (its files are then replaced, others stay).
 
@@ -51,6 +67,6 @@ def check_folder(out: Path, source: str) -> None:
 def make_folder(out: Path) -> None:
     """Make the folder and take an earlier run's files out of it, so that no files of two runs stand side by side.
 
-    Its recording stays, unless this run records too: it may be all that there is of a dive.
+    Its recordings stay.
     """
     files.make_folder(out, without=OURS)

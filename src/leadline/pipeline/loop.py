@@ -93,12 +93,13 @@ def run(
     record: bool = False,
     progress: Progress = lambda done, total: None,
     control: Control | None = None,
+    say: Callable[[str], None] = lambda line: None,
 ) -> Report:
     """Take the source to its end, or to Ctrl-C, and write the run's folder. InputError where that cannot be done.
 
     Before the source has begun, nothing is written or taken away.
 
-    control: for whoever wants to record, to stop and to mark while it runs.
+    control: for whoever wants to record, to stop and to mark while it runs. say: told what to know at once.
     """
     folder.check_folder(out, job.source.name)
     start_s = time.perf_counter()
@@ -107,6 +108,8 @@ def run(
         watch = Watch(job.source, job.rig, job.detector)
         outputs = _outlets(job.outputs, stack, watch)  # they tell of devices that give nothing yet
         samples = begun(job.source, job.rig)
+        if record and (kept := folder.keep_recording(out)) is not None:
+            say(f"the earlier recording {out / folder.RECORDING} is now {kept}")
         folder.make_folder(out)
         (out / folder.CONFIG).write_text(job.config.dump(), encoding="utf-8")
         job.rig.save(out / folder.RIG)

@@ -56,8 +56,10 @@ def _open_live(text: str, seed: int) -> Source:
 
 
 def _recording_inside(path: Path) -> Path:
-    """A ROS 2 bag is a folder with one ``.mcap`` in it; so is a run's folder made with ``--record``."""
-    if path.is_dir() and not (path / "frames.csv").exists():
-        inside = list(path.glob("*.mcap"))
-        return inside[0] if len(inside) == 1 else path
-    return path
+    """A ROS 2 bag is a folder with one ``.mcap`` in it; so is a run's folder made with ``--record`` once."""
+    if not path.is_dir() or (path / "frames.csv").exists():
+        return path
+    inside = sorted(path.glob("*.mcap"))
+    if len(inside) > 1:
+        raise InputError(f"there are {len(inside)} recordings in it", str(path), f"name one of them: {inside[0]}")
+    return inside[0] if inside else path
