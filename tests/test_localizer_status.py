@@ -178,3 +178,4 @@ def test_every_frame_alone_remembers_nothing() -> None:
     three = frames()[2:5]
     forward, backward = steps(make(), list(three)), steps(make(), list(reversed(three)))
     assert [s.range_m for s in forward] == [s.range_m for s in reversed(backward)]
+    assert all(s.range_m is not None and s.velocity_m_s is None for s in forward)  # a frame has no velocity

@@ -333,7 +333,7 @@ class Localizer:
             cov_m2=cov[:3, :3],
             range_m=distance,
             range_sigma_m=sigma_m,
-            velocity_m_s=estimate.velocity_m_s,
+            velocity_m_s=estimate.velocity_m_s if self._filtered else None,
             used=tuple(used),
             rejected=turned_away,
         )
