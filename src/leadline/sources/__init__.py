@@ -41,13 +41,15 @@ def open_source(spec: str | Path, *, seed: int = 0, real_time: bool = False) -> 
 
 
 def _open_live(text: str, seed: int) -> Source:
-    from leadline.sources.address import makers, rig_of  # noqa: PLC0415  devices are not needed for a replay
+    from leadline.sources.address import joined, makers, rig_of  # noqa: PLC0415  devices are not needed for a replay
     from leadline.sources.clock import LiveClock  # noqa: PLC0415
     from leadline.sources.live import LiveSource  # noqa: PLC0415
     from leadline.sources.mavlink import Mount  # noqa: PLC0415
     from leadline.sources.replay import live_dive  # noqa: PLC0415
 
     if text.startswith(LIVE):
+        if len(joined(text)) > 1:
+            raise InputError("live: stands alone, its dive has its own devices", text, "leave out what + joins to it")
         return live_dive(open_source(text.removeprefix(LIVE), seed=seed))
     clock, mount = LiveClock(), Mount()
     source = LiveSource(text, makers(text, clock, mount), clock, mount=mount)

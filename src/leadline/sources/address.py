@@ -1,6 +1,6 @@
 """Live addresses: ``uvc:0+serial:/dev/ttyUSB0?protocol=jrt&baud=115200``, ``uvc:0,1``, ``rtsp://camera/stereo#fps=25``.
 
-Parts are joined by ``+``. Options stand after ``?`` and are joined by ``&``; after ``#`` in a stream's URL, which may
+Devices are joined by ``+``. Options stand after ``?`` and are joined by ``&``; after ``#`` in a stream's URL, which may
 have a ``?`` of its own. A laser's protocol that is not said is found by trying.
 """
 
@@ -23,10 +23,15 @@ SCHEMES = ("uvc", "rtsp", "serial", "mavlink", "ros2")
 _Number = TypeVar("_Number", int, float)
 
 
+def joined(text: str) -> list[str]:
+    """The addresses of the devices that ``+`` joins: a ``+`` in a file's name joins nothing."""
+    return re.split(rf"\+(?=(?:{'|'.join(SCHEMES)}):)", text)
+
+
 def makers(text: str, clock: LiveClock, mount: Mount) -> list[Callable[[], LivePart]]:
     """For each part, what makes a new object of it; InputError for an address that is none."""
     found, kinds = [], []
-    for part in re.split(rf"\+(?=(?:{'|'.join(SCHEMES)}):)", text):
+    for part in joined(text):
         scheme, _, rest = part.partition(":")
         make, kind = _part(scheme, rest, clock, mount, part)
         make()  # complains at once
