@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -458,3 +460,16 @@ def test_wrong_addresses_get_one_clear_line(spec: str) -> None:
         next(iter(open_source(spec)))
     assert "\n" not in str(caught.value)
     assert caught.value.fix
+
+
+def test_a_dive_as_live_stands_alone() -> None:
+    with pytest.raises(InputError, match="live: stands alone"):
+        open_source("live:dive+serial:/dev/pts/0?protocol=jrt")
+
+
+def test_a_stream_that_is_not_there_is_one_line_of_ours_and_none_of_ffmpegs(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "leadline", "run", "rtsp://127.0.0.1:9/x", "--rig", "rendered", "--headless"]
+    done = subprocess.run([*command, "--out", str(tmp_path / "x")], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "cannot be opened" in done.stderr

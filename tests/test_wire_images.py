@@ -34,6 +34,27 @@ def test_a_cut_jpeg_is_refused_whatever_opencv_makes_of_it(thumbnail: bytes) -> 
         decode_image(data[: len(data) * 2 // 3])
 
 
+def damaged(data: bytes, place: int) -> bytes:
+    return data[:place] + bytes([data[place] ^ 0x55]) + data[place + 1 :]
+
+
+def test_a_damaged_or_cut_picture_is_one_line_of_ours_and_none_of_a_librarys(capfd: pytest.CaptureFixture[str]) -> None:
+    png = encode_png(picture(1))
+    broken = [damaged(png, place) for place in (9, 20, 40, len(png) // 2, len(png) - 20)]
+    broken += [png[:size] for size in (5, 20, 60, len(png) // 2, len(png) - 2)]
+    broken += [b"II*\0" + png[4:], b"\xff\xd8" + png[2:] + b"\xff\xd9"]
+    for data in broken:
+        with pytest.raises(ValueError, match=r"cut off or damaged|not a readable image"):
+            decode_image(data)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_note_in_a_png_may_be_damaged_and_something_may_follow() -> None:
+    png = encode_png(picture(1))
+    note = b"\0\0\0\5tEXta\0bcd" + b"wrong"[:4]
+    assert np.array_equal(decode_image(png[:33] + note + png[33:] + b"more"), picture(1))
+
+
 @pytest.mark.parametrize(
     ("data", "why"), [(b"", "empty"), (b"\x00" * 100, "not a readable"), (b"BM", "not a readable")]
 )

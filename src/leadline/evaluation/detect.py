@@ -16,7 +16,7 @@ from leadline.evaluation.drawing import draw_detections
 from leadline.files import make_folder, write_whole
 from leadline.samples import Detection, Image
 from leadline.wire.dive_folder import read_frames, split_side_by_side
-from leadline.wire.images import decode_image
+from leadline.wire.images import decode_image, quiet
 from leadline.wire.notice import Notice
 
 IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff"}
@@ -141,6 +141,7 @@ def _dive(folder: Path, skipped: list[tuple[str, str]]) -> tuple[int, Iterator[N
 
 def _video(path: Path) -> tuple[int | None, Iterator[Named]]:
     """Every frame of a video, named clip_000000.jpg and so on."""
+    quiet()
     capture = cv2.VideoCapture(str(path))
     if not capture.isOpened():
         raise InputError("not a readable video", str(path), "convert it, e.g. to MP4")

@@ -23,7 +23,7 @@ from leadline.sources.clock import LiveClock
 from leadline.sources.inbox import Item
 from leadline.sources.part import Finished, LivePart, Lost
 from leadline.wire.dive_folder import split_side_by_side
-from leadline.wire.images import SizeError
+from leadline.wire.images import SizeError, quiet
 
 FROZEN_S = 2.0
 MISSES = 5  # frames in a row that do not come
@@ -186,7 +186,7 @@ class StereoCamera(LivePart):
 
 def open_capture(device: str) -> Capture:
     """OpenCV's: a number or /dev/video* by the system's own interface, the rest by FFmpeg with little buffering."""
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # what it warns of is told by us
+    quiet()
     if device.isdigit():
         return cv2.VideoCapture(int(device))
     if "://" not in device:

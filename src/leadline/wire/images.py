@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import zlib
+
 import cv2
 import numpy as np
 
@@ -16,6 +19,16 @@ def image_format(data: bytes) -> str:
     return next((name for magic, name in _MAGIC.items() if data.startswith(magic)), "")
 
 
+def quiet() -> None:
+    """OpenCV and FFmpeg write no lines of their own, unless the environment asks for them.
+
+    What is wrong with a picture, a camera or a stream is told by us, in one.
+    """
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # AV_LOG_QUIET; read when the first stream is opened
+    if "OPENCV_LOG_LEVEL" not in os.environ:
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+
+
 def decode_image(data: bytes) -> Image:
     """Raises ValueError with one clear line. A JPEG that was cut off is refused, not filled up with grey."""
     if not data:
@@ -23,6 +36,9 @@ def decode_image(data: bytes) -> Image:
     # Older OpenCV decodes a cut JPEG without complaint. Not the first half: a thumbnail has an end marker too.
     if data.startswith(b"\xff\xd8") and data.find(b"\xff\xd9", len(data) // 2) < 0:
         raise ValueError("the JPEG is cut off")
+    if data.startswith(b"\x89PNG"):
+        _require_whole_png(data)
+    quiet()
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYCOLOR)
     except cv2.error:
@@ -30,6 +46,19 @@ def decode_image(data: bytes) -> Image:
     if pixels is None:
         raise ValueError("not a readable image")
     return np.asarray(pixels, np.uint8)
+
+
+def _require_whole_png(data: bytes) -> None:
+    """By its checksums, before libpng sees it: that writes to stderr what it finds."""
+    place, kind = 8, b""
+    while kind != b"IEND":
+        end = place + 8 + int.from_bytes(data[place : place + 4], "big")
+        kind, checksum = data[place + 4 : place + 8], data[end : end + 4]
+        whole = len(checksum) == 4
+        needed = whole and not kind[0] & 0x20  # other chunks are notes
+        if not whole or (needed and zlib.crc32(memoryview(data)[place + 4 : end]).to_bytes(4, "big") != checksum):
+            raise ValueError("the PNG is cut off or damaged")
+        place = end + 4
 
 
 class SizeError(ValueError):
