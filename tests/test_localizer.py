@@ -98,3 +98,8 @@ def test_a_small_box_of_a_known_ball_tells_how_far_off_it_is() -> None:
     (x, y), (width, height) = q_px.min(axis=0), np.ptp(q_px, axis=0)
     idea = Sight(rig, ball, Config(), None)._idea((float(x), float(y), float(width), float(height)))
     assert np.linalg.norm(idea - centre) < 0.05
+
+
+def test_a_target_in_words_is_refused_when_the_localizer_is_made() -> None:
+    with pytest.raises(TypeError, match=r"Sphere\(0\.34\), or leadline\.target\.parse_target\('sphere:0\.34'\)"):
+        Localizer(Rig.load("rendered"), "sphere:0.34")  # type: ignore[arg-type]

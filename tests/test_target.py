@@ -70,3 +70,10 @@ def test_parse_gives_back_its_name(text: str) -> None:
 def test_parse_says_what_is_wrong(text: str) -> None:
     with pytest.raises(ValueError, match="is not a"):
         parse_target(text)
+
+
+@pytest.mark.parametrize("shape", [Sphere, Cylinder])
+@pytest.mark.parametrize("diameter_m", [-1.0, 0.0, np.nan, np.inf])
+def test_a_diameter_that_there_cannot_be_is_refused(shape: type[Sphere | Cylinder], diameter_m: float) -> None:
+    with pytest.raises(ValueError, match="diameter_m: must be metres above 0"):
+        shape(diameter_m)

@@ -108,6 +108,20 @@ def test_sigma_scales_the_covariance_for_each_point(rig: Rig) -> None:
     np.testing.assert_allclose(each, unit * np.array([0.01, 0.25, 4.0])[:, None, None], rtol=1e-12)
 
 
+def test_unequal_numbers_of_pixels_are_refused(rig: Rig) -> None:
+    """One right pixel was spread over all left ones."""
+    left, right = rig.project(np.array([[0.0, 0.0, 1.0], [0.1, 0.0, 1.5], [0.0, 0.1, 2.0]]))
+    with pytest.raises(ValueError, match=r"left_px \(2, 2\) and right_px \(1, 2\)"):
+        rig.triangulate(left[:2], right[:1])
+
+
+@pytest.mark.parametrize("sigma_px", [-1.0, np.nan, [0.1, 0.1], [0.1, -0.1, 0.1]])
+def test_a_sigma_that_is_none_is_refused(rig: Rig, sigma_px: float | list[float]) -> None:
+    points = np.repeat(station(rig, 1.0, corner=False), 3, axis=0)
+    with pytest.raises(ValueError, match="sigma_px: must be 0 or more, one number or one for each of 3 points"):
+        rig.triangulate(*rig.project(points), sigma_px)
+
+
 def test_pixels_that_do_not_meet_are_nan_and_the_others_are_not(rig: Rig) -> None:
     left, right = rig.project(np.array([[0.0, 0.0, 1.0], [0.1, 0.0, 1.5], [0.0, 0.1, 2.0]]))
     left[0, 0] -= 500.0  # now the rays part

@@ -140,7 +140,13 @@ class Rig:
 
         sigma_px: standard deviation of each pixel coordinate, one number or (N,). Maximum likelihood through the port.
         The rig's own covariance is not in it: its errors are common to all points. NaN where the rays do not meet.
+        ValueError where left and right are not as many, or a sigma is below 0.
         """
+        shapes = np.shape(left_px), np.shape(right_px)
+        if shapes[0] != shapes[1]:
+            raise ValueError(
+                f"left_px {shapes[0]} and right_px {shapes[1]}: the same points in both, (N, 2) and (N, 2)"
+            )
         start = midpoints(*self.rays(left_px, "left"), *self.rays(right_px, "right"))
         views = [lambda p: self.project_with_jacobian(p, "left"), lambda p: self.project_with_jacobian(p, "right")]
         return triangulate(views, [left_px, right_px], start, sigma_px)

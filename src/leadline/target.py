@@ -82,6 +82,9 @@ class Sphere:
     expected_radius_m: float = 0.2
     expected_radius_sigma_m: float = 0.15
 
+    def __post_init__(self) -> None:
+        _check(self.diameter_m)
+
     @property
     def name(self) -> str:
         return "sphere" if self.diameter_m is None else f"sphere:{self.diameter_m:g}"
@@ -186,6 +189,9 @@ class Cylinder:
     """A pile or pipe. The axis stands at an angle about the line of sight (0: image-vertical)."""
 
     diameter_m: float | None = None
+
+    def __post_init__(self) -> None:
+        _check(self.diameter_m)
 
     @property
     def name(self) -> str:
@@ -311,6 +317,11 @@ class Surface:
     def beam_length(self, x: Array, origins_m: Array, directions: Array) -> tuple[Array, Array]:
         length, gradient = _beams_to_plane(x[:3], origins_m, directions)
         return length + x[3], np.column_stack([gradient, np.ones(len(length))])
+
+
+def _check(diameter_m: float | None) -> None:
+    if diameter_m is not None and not 0 < diameter_m < np.inf:
+        raise ValueError(f"diameter_m: must be metres above 0, or None where it is not known, not {diameter_m:g}")
 
 
 def parse_target(text: str) -> Sphere | Plane | Cylinder | Surface:

@@ -197,11 +197,11 @@ def _surface_along(point_m: Array, station: Array, target: Target | None) -> flo
     The true size follows from position and range. A cylinder's axis is not in the truth: it is taken as upright.
     """
     centre_m, radius_m = station[:3], float(np.linalg.norm(station[:3]) - station[3])
-    if isinstance(target, Sphere):
-        shape: Target = Sphere(2 * radius_m)
-    elif isinstance(target, Plane):
-        shape = Plane()
-    elif isinstance(target, Cylinder):
+    if isinstance(target, Plane):
+        shape: Target = Plane()
+    elif isinstance(target, Sphere) and radius_m > 0:  # a truth that is none of a ball's has no radius
+        shape = Sphere(2 * radius_m)
+    elif isinstance(target, Cylinder) and radius_m > 0:
         shape = Cylinder(2 * radius_m)
     else:
         return float("nan")

@@ -40,12 +40,15 @@ def triangulate(
     """Maximum-likelihood points (N, 3) and their covariance (N, 3, 3), m^2, from two or more views.
 
     Gauss-Newton from ``start_m`` on all pixel residuals. ``sigma_px``: standard deviation of each pixel coordinate, one
-    number or one for each point (N,). The covariance is that of the pixels alone, sigma^2 (J^T J)^-1, to first order.
-    NaN where the start is NaN, where the step leaves the field of view, or where the views do not fix the point.
+    number or one for each point (N,); ValueError below 0. The covariance is that of the pixels alone, sigma^2
+    (J^T J)^-1, to first order. NaN where the start is NaN, where the step leaves the field of view, or where the views
+    do not fix the point.
     """
     measured = [as_rows(q, 2) for q in pixels_px]
     points = np.array(start_m, dtype=np.float64)
-    sigma = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), len(points))
+    sigma = np.asarray(sigma_px, dtype=np.float64)
+    if sigma.shape not in ((), (len(points),)) or not (sigma >= 0).all():
+        raise ValueError(f"sigma_px: must be 0 or more, one number or one for each of {len(points)} points")
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         for _ in range(_STEPS):
             normal_matrix, gradient = _normal_equations(views, measured, points)
@@ -54,7 +57,7 @@ def triangulate(
             if not np.any(np.abs(step) > _SETTLED_M):
                 break
         normal_matrix, _ = _normal_equations(views, measured, points)
-        return points, _inverse(normal_matrix) * (sigma**2)[:, None, None]
+        return points, _inverse(normal_matrix) * (sigma**2).reshape(-1, 1, 1)
 
 
 def _normal_equations(views: Sequence[View], measured: Sequence[Array], points_m: Array) -> tuple[Array, Array]:

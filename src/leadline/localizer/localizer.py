@@ -67,6 +67,10 @@ class Localizer:
         *,
         filtered: bool = True,
     ) -> None:
+        if isinstance(target, str):
+            raise TypeError(
+                f"target: a shape such as Sphere(0.34), or leadline.target.parse_target({target!r}), not text"
+            )
         self._rig, self._target = rig, target or Surface()
         self._finder = detector or WholeView()
         self._config = config or Config()

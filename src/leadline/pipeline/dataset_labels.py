@@ -120,7 +120,7 @@ class RangeLabeller:
         if not seen or solution.status is not Status.VALID or solution.position_m is None or solution.range_m is None:
             return UNKNOWN
         radius_m = float(np.linalg.norm(solution.position_m)) - solution.range_m
-        box = box_of(rig, Sphere(2 * radius_m), solution.position_m)
+        box = box_of(rig, Sphere(2 * radius_m), solution.position_m) if radius_m > 0 else None
         if box is None:
             return UNKNOWN
         traced = Kind.SIZE in seen
