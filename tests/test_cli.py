@@ -288,6 +288,9 @@ def compare_demo(place: Path, name: str) -> float:
         (["sim", "tiny.yaml", "--out", "dive"], "something already"),
         (["detect", "nowhere", "--out", "x", "--model", "m.onnx"], "m.onnx"),
         (["config", "check", "bad.yaml"], "bad.yaml: paper.block"),
+        (["config", "check", "twice.yaml"], "twice.yaml: score: is there twice, again in line 3; leave one of the two"),
+        (["sim", "twice.yaml", "--out", "x"], "twice.yaml: score: is there twice"),
+        (["plan", "twice.yaml"], "twice.yaml: score: is there twice"),
         (["nonsense"], "nonsense"),
         (["demo", "--seed", "-1"], "--seed"),
     ],
@@ -301,6 +304,7 @@ def test_a_mistake_is_one_line_and_status_2(
 ) -> None:
     monkeypatch.chdir(place)
     (place / "bad.yaml").write_text("paper: {block: 3}\n")
+    (place / "twice.yaml").write_text("detector:\n  score: 0.5\n  score: 0.1\n")
     assert main(arguments) == 2
     captured = capsys.readouterr()
     assert captured.out == ""

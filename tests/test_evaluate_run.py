@@ -102,7 +102,7 @@ TRUTH_HEAD = "t_s,x_m,y_m,z_m,range_m\n"
 @pytest.mark.parametrize(
     ("truth", "said"),
     [
-        (None, "no truth.csv"),
+        (None, "truth.csv: no such file; give a CSV with the columns t_s,x_m"),
         ("", "the file is empty"),
         ("t_s,x_m,y_m,z_m\n0,0,0,1\n", "the header is"),
         (TRUTH_HEAD, "no row that can be read"),
@@ -126,9 +126,17 @@ def test_a_truth_that_does_not_fit_is_one_line(
 def test_a_run_that_is_none_is_one_line(
     dive: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    empty = write_run(tmp_path / "empty", [])
-    for run in (tmp_path / "nowhere", empty):
+    empty, bare = write_run(tmp_path / "empty", []), tmp_path / "bare"
+    bare.mkdir()
+    told = {
+        tmp_path / "nowhere": "nowhere: no such run folder",
+        empty: "no solutions",
+        bare: "bare: no solutions.csv in it; give a folder that `leadline run --out` wrote",
+    }
+    for run, said in told.items():
         assert main(["evaluate", "run", str(run), "--truth", str(dive[1]), "--out", str(tmp_path / "out")]) == 2
-        assert capsys.readouterr().err.count("\n") == 1
+        line = capsys.readouterr().err
+        assert said in line
+        assert line.count("\n") == 1
     beside = ["evaluate", "run", str(dive[0]), "--truth", str(dive[1]), "--out", str(dive[1])]
     assert main(beside) == 2

@@ -336,3 +336,10 @@ def test_image_size_against_the_rig(tmp_path: Path) -> None:
         require_size(rig, source)
     source.image_size = (1920, 1080)
     require_size(rig, source)
+
+
+def test_a_row_that_ends_early_is_told_by_its_own_columns(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "dive", frames=3)
+    with (folder / "frames.csv").open("a") as table:
+        table.write("2.4\n")
+    assert [notice.why for notice in open_source(folder).notices] == ["left is empty"]

@@ -12,6 +12,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from leadline.errors import InputError
+from leadline.files import read_yaml
 
 Positive = Annotated[float, Field(gt=0)]
 Provider = Literal["cpu", "cuda", "tensorrt", "openvino"]
@@ -149,15 +150,11 @@ class Config(Section):
     def load(cls, path: Path) -> Config:
         """Read a YAML file; InputError names the key that is wrong."""
         try:
-            return cls.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")) or {})
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError("cannot be read", str(path), "check the path, and that it is text") from error
+            return cls.model_validate(read_yaml(path) or {})
         except ValidationError as error:
             first = error.errors()[0]
             key = ".".join(str(part) for part in first["loc"]) or "the file"
             raise InputError(f"{key}: {first['msg']}", str(path), "see `leadline config dump` for the keys") from error
-        except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: what looks like a date and is none
-            raise InputError("is not YAML", str(path), str(error)) from error
 
     def dump(self) -> str:
         return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)

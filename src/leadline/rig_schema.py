@@ -15,7 +15,7 @@ import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from leadline.errors import InputError
-from leadline.files import write_whole
+from leadline.files import read_yaml, write_whole
 
 HEADER = """\
 # leadline rig file. Metres, pixels, degrees Celsius; frames: x right, y down, z forward; pixel (0, 0) is the centre of
@@ -187,13 +187,7 @@ def check_covariance(matrix: np.ndarray[Any, np.dtype[np.float64]]) -> None:
 
 def read(path: Path) -> RigFile:
     """Parse and check a rig file; InputError names the first fault by its path in the file."""
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not text"
-        raise InputError(f"the rig file cannot be read ({reason})", str(path), "check the path") from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: what looks like a date and is none
-        raise InputError("is not YAML", str(path), str(error)) from error
+    data = read_yaml(path)
     if not isinstance(data, dict) or data.get("format") != "leadline-rig":
         raise InputError("is not a rig file", str(path), "its first key must be `format: leadline-rig`")
     if data.get("version") != 1:

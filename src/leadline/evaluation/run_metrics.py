@@ -53,6 +53,11 @@ class RunMetrics:
 def evaluate_run(run: Path, truth_file: Path, out: Path) -> RunMetrics:
     """Compare, and write ``metrics.json`` and two pictures. InputError where the two do not go together."""
     solutions_file = run / "solutions.csv" if run.is_dir() else run
+    if not solutions_file.is_file():
+        what = "no solutions.csv in it" if run.is_dir() else "no such run folder, nor table"
+        raise InputError(what, str(run), "give a folder that `leadline run --out` wrote, or its solutions.csv")
+    if not truth_file.is_file():
+        raise InputError("no such file", str(truth_file), "give a CSV with the columns t_s,x_m,y_m,z_m,range_m")
     solutions = read_solutions(solutions_file)
     ignored: list[Notice] = []
     truth = read_truth(truth_file, ignored.append)

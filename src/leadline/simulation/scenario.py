@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from leadline.errors import InputError
+from leadline.files import read_yaml
 from leadline.simulation.faults import Fault
 from leadline.simulation.optics import WATERS, WaterOptics
 
@@ -170,12 +170,7 @@ class Scenario(_Part):
         elif not path.is_file():
             names = ", ".join(shipped_scenarios())
             raise InputError("no such scenario", str(source), f"use one of {names}, or a YAML file")
-        try:
-            content = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError("cannot be read", str(path), "check the file") from error
-        except yaml.YAMLError as error:
-            raise InputError("is not YAML", str(path), str(error)) from error
+        content = read_yaml(path)
         try:
             return cls.model_validate({} if content is None else content)
         except ValidationError as error:

@@ -70,9 +70,8 @@ def _is_cut(path: Path) -> bool:
 
 
 def _solution(row: Row) -> Solution:
-    missing = [name for name in HEADER if name not in row.cells]
-    if missing:
-        raise ValueError(f"{len(missing)} of {len(HEADER)} cells are missing, the first {missing[0]}")
+    if row.missing:
+        raise ValueError(f"{len(row.missing)} of {len(HEADER)} cells are missing, the first {row.missing[0]}")
     t_ns = row.stamp("t_s")
     cov = _vector(row, _COV)
     knows_velocity = row.cells[_VELOCITY[0]] != "nan"

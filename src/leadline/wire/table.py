@@ -16,10 +16,14 @@ from leadline.wire.stamps import parse_stamp
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One line of a table. ``where`` names file and line ("dive/laser.csv row 7"; the header is row 1)."""
+    """One line of a table. ``where`` names file and line ("dive/laser.csv row 7"; the header is row 1).
+
+    ``cells`` has every column of the header; ``missing`` are those before which the line ends (their cells are empty).
+    """
 
     where: str
     cells: dict[str, str]
+    missing: tuple[str, ...] = ()
 
     def text(self, column: str) -> str:
         """Raises ValueError where the cell is missing or empty."""
@@ -81,7 +85,9 @@ def _told(expected: Sequence[Sequence[str]]) -> str:
 
 
 def _row(where: str, line: int, header: list[str], cells: list[str]) -> Row:
-    return Row(f"{where} row {line}", {name: cell.strip() for name, cell in zip(header, cells, strict=False)})
+    missing = header[len(cells) :]
+    texts = (*(cell.strip() for cell in cells[: len(header)]), *[""] * len(missing))
+    return Row(f"{where} row {line}", dict(zip(header, texts, strict=True)), tuple(missing))
 
 
 def table_text(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
