@@ -70,6 +70,12 @@ def test_what_cannot_be_opened_is_a_finding() -> None:
     assert findings["speed"].level is Level.OK
 
 
+def test_a_users_own_words_are_printed_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    """`:x:` was a picture, and `[red]` a colour."""
+    assert main(["doctor", "live:dive+bogus:x:[red]"]) == 1
+    assert "dive+bogus:x:[red]" in "".join(capsys.readouterr().out.split())
+
+
 def test_slow_disk_old_rig_bad_fit(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(doctor_computer, "measure_disk", lambda folder: doctor_computer.Disk(10**9, 1e6, 2.0))
     text = (Path(doctor.__file__).parents[1] / "rigs" / "paper.yaml").read_text()

@@ -169,6 +169,8 @@ def test_folders_that_must_not_be_written_to(
 ) -> None:
     assert main(["train", str(labelled), "--out", str(labelled / "out")]) == 2
     assert "lies within the set; give another folder to --out" in capsys.readouterr().err
+    assert main(["train", str(tmp_path / "nosuch"), "--out", str(tmp_path / "out")]) == 2
+    assert "nosuch: no such folder or file" in capsys.readouterr().err  # not: out lies within it
     (tmp_path / "letter.txt").write_text("mine")
     assert main(["train", str(labelled), "--out", str(tmp_path)]) == 2
     assert "holds something that is not a training" in capsys.readouterr().err

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from leadline import (
     cli_calibrate,
@@ -23,6 +22,7 @@ from leadline import (
     cli_recover,
     cli_train,
 )
+from leadline.cli_console import open_console
 from leadline.cli_progress import progress
 from leadline.cli_view import ViewAt, ViewFlag, watched_run
 from leadline.errors import InputError
@@ -128,7 +128,7 @@ def demo(
     job = demo_job(seed=seed, real_time=view or view_at is not None)
     with watched_run(job, out, what, record=False, view=view, at=view_at, headless=headless) as report:
         _print_report(report, detailed=False)
-        Console().print(beside(report.errors["fused"], report.errors["paper"]))
+        open_console().print(beside(report.errors["fused"], report.errors["paper"]))
         _print_files(report)
 
 
@@ -255,9 +255,9 @@ def _config(file: Path | None, provider: ProviderName | None = None) -> Config:
 def _print_report(report: Report, *, detailed: bool) -> None:
     from leadline.cli_tables import remarks, tables  # noqa: PLC0415
 
-    console = Console(highlight=False)
+    console = open_console()
     for line in remarks(report.summary):
-        console.print(line, markup=False)
+        console.print(line)
     if detailed:
         for table in tables(report):
             console.print(table)

@@ -158,10 +158,11 @@ def _optional_board(size: str | None, square: float | None) -> Board | None:
 
 def _say(report: LaserReport, out: Path) -> None:
     """Remarks, then tables, then the file."""
-    from rich.console import Console  # noqa: PLC0415
     from rich.table import Table  # noqa: PLC0415
 
-    console = Console(highlight=False)
+    from leadline.cli_console import open_console  # noqa: PLC0415
+
+    console = open_console()
     if not console.is_terminal:
         console.width = _FILE_WIDTH
     for line in report.lines:

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
+from leadline.cli_console import open_console
 from leadline.cli_progress import progress
 
 COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
@@ -44,7 +45,7 @@ def doctor(
         table.add_column(overflow="fold")
         for finding in findings:
             said = finding.said + (f"\n→ {finding.advice}" if finding.advice else "")
-            table.add_row(f"[{COLOURS[finding.level]}]{finding.level}[/]", finding.part, said)
-        Console(highlight=False).print(table)
+            table.add_row(Text(finding.level, COLOURS[finding.level]), finding.part, said)
+        open_console().print(table)
     if worst(findings) is Level.FAIL:
         raise typer.Exit(1)

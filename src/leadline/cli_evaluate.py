@@ -32,13 +32,12 @@ def run(
     out: Annotated[Path, typer.Option(help="Folder for metrics.json and the pictures.")],
 ) -> None:
     """A run's errors by stage and by distance, whether its sigma was honest, and how often it had an answer."""
-    from rich.console import Console  # noqa: PLC0415  heavy imports wait until they are needed
-
+    from leadline.cli_console import open_console  # noqa: PLC0415  heavy imports wait until they are needed
     from leadline.cli_tables import error_table  # noqa: PLC0415
     from leadline.evaluation.run_metrics import evaluate_run  # noqa: PLC0415
 
     result = evaluate_run(source, truth, out)
-    console = Console(highlight=False)
+    console = open_console()
     for line in result.ignored[:1]:
         typer.echo(f"{len(result.ignored)} rows of the truth ignored, the first: {line}")
     if result.own_point:
@@ -67,8 +66,7 @@ def detector(
     config: Annotated[Path | None, typer.Option(help="Settings (see `leadline config dump`).")] = None,
 ) -> None:
     """How well a detector finds the target: AP, recall by size and water, centre errors, what went wrong."""
-    from rich.console import Console  # noqa: PLC0415
-
+    from leadline.cli_console import open_console  # noqa: PLC0415
     from leadline.config import Config  # noqa: PLC0415
     from leadline.evaluation.detection_page import lines  # noqa: PLC0415
     from leadline.evaluation.detection_run import evaluate_detector  # noqa: PLC0415
@@ -89,7 +87,7 @@ def detector(
         )
     for told in (*lines(result), *result.notices):
         typer.echo(told)
-    console = Console(highlight=False)
+    console = open_console()
     console.print(_boxes("by box size; px: how far the found boxes' centres are off", result.recall_by_size))
     console.print(_boxes("by water", [row.all for row in result.by_water]))
     for file in result.files:

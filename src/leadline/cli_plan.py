@@ -194,13 +194,13 @@ def _vector(given: str) -> Vector:
 
 
 def _print(result: Plan) -> None:
-    from rich.console import Console  # noqa: PLC0415
     from rich.table import Table  # noqa: PLC0415
 
+    from leadline.cli_console import open_console  # noqa: PLC0415
     from leadline.evaluation.plan_page import HEADS, by_place, values  # noqa: PLC0415
     from leadline.evaluation.plan_report import lines  # noqa: PLC0415
 
-    console = Console(highlight=False)
+    console = open_console()
 
     def show(title: str, heads: tuple[str, ...], rows: list[list[str]]) -> None:
         table = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0))

@@ -62,7 +62,7 @@ def plan_training(
 ) -> Plan:
     """Read the set and split it. InputError for a set that cannot be used, or where ``out`` holds something else."""
     root = path if path.is_dir() else path.parent
-    if out.resolve().is_relative_to(root.resolve()):
+    if path.exists() and out.resolve().is_relative_to(root.resolve()):
         raise InputError("lies within the set", str(out), "give another folder to --out")
     engine = open_engine(settings.engine)
     engine.check()
