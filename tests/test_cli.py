@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import re
 import shutil
+import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+import threading
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,12 +26,15 @@ from leadline.evaluation.accuracy import by_stage, compare
 from leadline.pipeline import build, loop
 from leadline.pipeline.begin import begun
 from leadline.pipeline.demo import demo_job
+from leadline.pipeline.worker import Worker
 from leadline.recognition.boxes import Boxes
-from leadline.samples import NS_PER_S, LaserRange, Sample, Status, StereoFrame
+from leadline.samples import NS_PER_S, Detection, LaserRange, Sample, Solution, Status, StereoFrame
+from leadline.sinks import Sink
 from leadline.sources import Source, open_source
 from leadline.sources.folder import FolderSource
 from leadline.target import Sphere
 from leadline.wire.solutions import read_solutions
+from leadline.wire.spool import Spool
 
 SCENARIO = """
 name: tiny
@@ -227,6 +234,75 @@ def test_ctrl_c_keeps_what_is_written(place: Path, monkeypatch: pytest.MonkeyPat
     assert summary(place / "cut")["interrupted"] is True
     assert len(read_solutions(place / "cut" / "solutions.csv")) == 3
     assert (place / "cut" / "run.png").exists()
+
+
+def live_run(place: Path, out: str, outputs: tuple[Sink, ...] = ()) -> loop.Report:
+    job = build.build_job(f"live:{place / 'dive'}", boxes=place / "boxes.json", target="sphere:0.34")
+    return loop.run(replace(job, outputs=outputs), place / out, record=True)
+
+
+def test_a_live_run_on_a_full_disk_says_at_its_end_what_was_recorded(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write = Spool._write
+
+    def full(self: Spool, block: bytes) -> None:
+        if self.path.suffix == ".mcap" and self.written[0] > 600_000:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(self, block)
+
+    monkeypatch.setattr(Spool, "_write", full)
+    arguments = ["--boxes", str(place / "boxes.json"), "--record"]
+    assert main(["run", f"live:{place / 'dive'}", "--out", str(place / "full"), *arguments]) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    found = re.fullmatch(
+        r"leadline: dive\.mcap stopped (.*) s into the dive: No space left on device; it holds what came before", line
+    )
+    assert found is not None, line
+    held = list(open_source(place / "full" / "dive.mcap"))
+    assert 0 < len(held) < FRAMES
+    stopped_s = float(found[1]) + (held[0].arrival_ns or held[0].t_ns) / NS_PER_S
+    assert (held[-1].arrival_ns or held[-1].t_ns) / NS_PER_S < stopped_s + 0.1
+    assert "off" in str(summary(place / "full")["health"])
+
+
+class Stuck:
+    """An output whose receiver has gone to sleep."""
+
+    name = "MAVLink"
+
+    def __init__(self) -> None:
+        self.woken = threading.Event()
+
+    def sample(self, sample: Sample) -> None:
+        self.woken.wait(60)
+
+    def detections(self, frame: StereoFrame, detections: Sequence[Detection]) -> None: ...
+    def solution(self, solution: Solution) -> None: ...
+    def close(self) -> None: ...
+
+
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_an_output_that_is_stuck_holds_up_no_summary(
+    place: Path, interrupted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C while it closes, or the time that it is given."""
+    close, sink = Worker.close, Stuck()
+
+    def cut(self: Worker, timeout_s: float) -> bool:
+        if self._thread.name == "Stuck" and interrupted:
+            threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+        return close(self, timeout_s)
+
+    monkeypatch.setattr(Worker, "close", cut)
+    monkeypatch.setattr("leadline.pipeline.watch.CLOSE_S", 30.0 if interrupted else 3.0)
+    out = f"stuck_{interrupted}"
+    report = live_run(place, out, (sink,))
+    sink.woken.set()
+    assert report.summary["unfinished"] == ["MAVLink was stuck: what it was given from 0.0 s into the dive on is lost"]
+    assert summary(place / out)["interrupted"] is interrupted
+    assert len(read_solutions(place / out / "solutions.csv")) >= FRAMES - report.summary["live"]["dropped"]
+    assert len(list(open_source(place / out / "dive.mcap"))) >= FRAMES - report.summary["live"]["dropped"]
 
 
 def test_a_bug_is_not_hidden_and_what_was_written_stays(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -170,6 +170,32 @@ def test_work_that_never_ends() -> None:
     assert health.state(Part.DISK) is State.STUCK
 
 
+def test_of_several_that_share_a_part_each_is_judged_for_itself() -> None:
+    """A full disk that still takes the rows of a table: one flag while it lasts, over when the recording is well."""
+    health = Health()
+    for i in range(100):
+        now_ns, full = i * NS_PER_S // 10, 20 <= i < 60
+        health.done(Part.DISK, now_ns, 0.02, BROKEN if full else None, who="dive.mcap")
+        health.done(Part.DISK, now_ns, 0.001, None, who="solutions.csv")
+        if i in (25, 59):
+            assert health.state(Part.DISK) is State.OFF
+    assert [event.state for event in health.events if event.since_ns < 6 * NS_PER_S] == [State.OFF]
+    assert health.state(Part.DISK) is State.OK
+
+
+def test_one_that_is_stuck_is_not_hidden_by_another() -> None:
+    health = Health()
+    for i in range(20):
+        now_ns = i * NS_PER_S // 10
+        health.asked(Part.OUTPUT, 0, now_ns, who="MAVLink")
+        health.done(Part.OUTPUT, now_ns, 0.001, who="the live page")
+        assert (health.state(Part.OUTPUT) is State.STUCK) == (i > 7)
+    health.left(Part.OUTPUT, "MAVLink")
+    for i in range(20, 30):
+        health.done(Part.OUTPUT, i * NS_PER_S // 10, 0.001, who="the live page")
+    assert health.state(Part.OUTPUT) is State.OK
+
+
 def boxes(moves: list[tuple[float, float] | None], expected: tuple[float, float] | None) -> State:
     health = Health()
     rng = np.random.default_rng(0)

@@ -266,6 +266,8 @@ def _print_report(report: Report, *, detailed: bool) -> None:
 def _print_files(report: Report) -> None:
     for file in report.files:
         typer.echo(str(file))
+    for line in report.summary["unfinished"]:
+        _complain(line)
 
 
 for _command in (

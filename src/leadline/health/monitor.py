@@ -18,6 +18,7 @@ WELL_S = 0.5  # without any sign of a fault
 WELL_EVENTS = 1
 EVENTS_KEPT = 200
 CAMERAS = (Part.LEFT, Part.RIGHT)
+SEVERITY = tuple(State)[1:]  # the worst first
 WORKERS = (Part.DETECTOR, Part.DISK, Part.OUTPUT)
 
 
@@ -58,7 +59,7 @@ class Health:
         self._taken_ns: dict[Part, int] = {}  # each camera's last picture
         self._pictures = {part: Pictures() for part in CAMERAS}
         self._ranges, self._scene = Ranges(), Scene()
-        self._work = {part: Work() for part in WORKERS}
+        self._work: dict[Part, dict[str, Work]] = {part: {} for part in WORKERS}  # by who does it
         self._boxes, self._contradictions = Boxes(), Contradictions()
         self._reported: dict[Part, tuple[State, str]] = {}
         self._flags: Counter[tuple[Part, State]] = Counter()
@@ -118,17 +119,26 @@ class Health:
         self._contradictions.see(solution)
         self._judge(now_ns, ())
 
-    def asked(self, part: Part, asked_ns: int, now_ns: int | None = None) -> None:
-        """The detector, the disk or an output was given something to do, and has not done it yet."""
+    def asked(self, part: Part, asked_ns: int, now_ns: int | None = None, *, who: str = "") -> None:
+        """The detector, the disk or an output was given something to do, and has not done it yet.
+
+        who: of several that share the part. Each is judged for itself, and the part by the worst of them.
+        """
         self._join(part)
-        self._work[part].asked(asked_ns)
+        self._worker(part, who).asked(asked_ns)
         self._judge(asked_ns if now_ns is None else now_ns, (), only=part)
 
-    def done(self, part: Part, now_ns: int, took_s: float, fault: Verdict = None, lag_s: float = 0.0) -> None:
+    def done(
+        self, part: Part, now_ns: int, took_s: float, fault: Verdict = None, lag_s: float = 0.0, *, who: str = ""
+    ) -> None:
         """It is done. fault: what was wrong with it (an error: off); lag_s: the age of what it answers."""
         self._join(part)
-        self._work[part].done(took_s, fault, lag_s)
+        self._worker(part, who).done(took_s, fault, lag_s)
         self._judge(now_ns, (part,), only=part)
+
+    def left(self, part: Part, who: str) -> None:
+        """It is given nothing more to do: what it did counts no longer."""
+        self._work[part].pop(who, None)
 
     def reported(self, part: Part, state: State, why: str, now_ns: int) -> None:
         """Somebody knows: a port that is gone, a full disk. ``State.OK`` takes it back."""
@@ -228,7 +238,7 @@ class Health:
         if part in self._reported:
             return self._reported[part]
         if part in WORKERS:
-            return self._work[part].verdict(now_ns)
+            return self._worst(part, now_ns)
         late = None if self._clock is not None else self._lag(part).late()
         return (
             self._paces[part].verdict(now_ns)
@@ -236,6 +246,13 @@ class Health:
             or late
             or self._contradictions.verdict(part, now_ns)
         )
+
+    def _worker(self, part: Part, who: str) -> Work:
+        return self._work[part].setdefault(who, Work())
+
+    def _worst(self, part: Part, now_ns: int) -> Verdict:
+        verdicts = [verdict for work in self._work[part].values() if (verdict := work.verdict(now_ns)) is not None]
+        return min(verdicts, key=lambda verdict: SEVERITY.index(verdict[0]), default=None)
 
     def _content(self, part: Part) -> Verdict:
         if part is Part.LASER:

@@ -19,7 +19,7 @@ class Part(StrEnum):
 
 
 class State(StrEnum):
-    """The modes of ``simulation.faults``, as a reader sees them."""
+    """The modes of ``simulation.faults``, as a reader sees them; after ok the worst first."""
 
     OK = "ok"
     OFF = "off"  # nothing comes, or nothing in it

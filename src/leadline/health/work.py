@@ -46,9 +46,11 @@ class Work:
         faults = list(self._faults)
         if len(faults) >= 2 and faults[-1] is not None and faults[-2] is not None:
             return faults[-1]
-        bad = [fault for fault in faults if fault is not None]
-        if len(bad) >= 2 and None in faults[-3:] and faults[-3:] != [None] * 3:
-            return State.INTERMITTENT, f"fails now and then: {bad[-1][1]}"
+        bad = [i for i, fault in enumerate(faults) if fault is not None]
+        if bad and None in faults[bad[0] : bad[-1]] and faults[-3:] != [None] * 3:  # was well, and is not again
+            last = faults[bad[-1]]
+            assert last is not None
+            return State.INTERMITTENT, f"fails now and then: {last[1]}"
         if len(self._lags) == 3 and min(self._lags) > LATE_S:
             return State.DELAYED, f"answers come {min(self._lags):.1f} s late"
         return self._slow()

@@ -28,6 +28,7 @@ from leadline.sinks.control import Control
 from leadline.sinks.events import EventsCsv
 from leadline.sources import Source
 from leadline.sources.live import LiveSource
+from leadline.sources.sync import arrival_ns
 
 NOTICES_KEPT = 100
 Progress = Callable[[int, int | None], None]  # frames done, frames in all (None: not known)
@@ -73,6 +74,7 @@ class Passed:
     frames: Stamps = field(default_factory=Stamps)
     readings: Stamps = field(default_factory=Stamps)
     lit: Thinned[tuple[float, float]] = field(default_factory=Thinned)
+    start_ns: int = 0  # when the first sample came
     interrupted: bool = False
 
 
@@ -119,10 +121,12 @@ def run(
         if record:
             recorder.start(out / folder.RECORDING)
         passed = _drive(job, samples, tracks, recorder, progress)
+        _close(stack, passed)
     wall_s = time.perf_counter() - start_s
     errors = {track.name: compare(track.solutions.values, job.source.truth, job.target) for track in tracks}
     summary = _summary(job, tracks, passed, errors, wall_s)
     summary["health"] = watch.health.summary()
+    summary["unfinished"] = [one.words(passed.start_ns) for one in watch.unfinished]
     if summary["live"] is not None:
         summary["live"]["outputs_dropped"] = watch.dropped
     if isinstance(tracks[0].localizer, SmoothingLocalizer):
@@ -170,7 +174,9 @@ def _drive(job: Job, samples: Iterable[Sample], tracks: list[Track], recorder: R
 
     job.source.idle = idle
     try:
-        for sample in samples:
+        for number, sample in enumerate(samples):
+            if number == 0:
+                passed.start_ns = arrival_ns(sample)
             recorder.poll()
             if isinstance(sample, StereoFrame):
                 passed.frames.add(sample.t_ns)
@@ -183,6 +189,14 @@ def _drive(job: Job, samples: Iterable[Sample], tracks: list[Track], recorder: R
     except KeyboardInterrupt:
         passed.interrupted = True
     return passed
+
+
+def _close(stack: ExitStack, passed: Passed) -> None:
+    """Ctrl-C cuts short what hangs; the others are closed all the same, and the summary is written."""
+    try:
+        stack.close()
+    except KeyboardInterrupt:
+        passed.interrupted = True
 
 
 def _write_smoothed(localizer: SmoothingLocalizer, path: Path) -> list[Solution]:

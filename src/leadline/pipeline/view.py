@@ -38,4 +38,5 @@ def _words(summary: dict[str, Any], out: Path) -> list[str]:
         f"{summary['frames']} stereo frames and {summary['readings']} laser readings, "
         f"position good in {valid:.0f} % of the solutions.",
         f"Tables, picture and settings are in {out}.",
+        *(f"{line}." for line in summary["unfinished"]),
     ]

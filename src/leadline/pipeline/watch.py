@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from leadline.errors import InputError
 from leadline.health import Condition, Health, Part, State
-from leadline.pipeline.worker import Clock, Job, Worker
+from leadline.pipeline.worker import Answer, Clock, Job, Worker
 from leadline.recognition.finder import Finder
 from leadline.rig import Rig
 from leadline.samples import NS_PER_S, Detection, Sample, Solution, Status, StereoFrame
@@ -45,16 +46,43 @@ class WatchedFinder:
             self.took_s = self._clock() - start_s
 
 
+@dataclass(frozen=True, slots=True)
+class Unfinished:
+    """A sink that lacks what it was given from ``since_ns`` on; why: empty where it was stuck."""
+
+    name: str
+    since_ns: int
+    why: str = ""
+
+    def words(self, start_ns: int) -> str:
+        """start_ns: of the dive."""
+        into_s = max(self.since_ns - start_ns, 0) / NS_PER_S
+        if not self.why:
+            return f"{self.name} was stuck: what it was given from {into_s:.1f} s into the dive on is lost"
+        return f"{self.name} stopped {into_s:.1f} s into the dive: {self.why}; it holds what came before"
+
+
 class Outlet:
     """A sink whose work is watched.
 
     live: it works in its own thread; an error of its (a full disk) is told, and the dive goes on without it.
     """
 
-    def __init__(self, sink: Sink, health: Health, now_ns: Callable[[], int], *, live: bool, clock: Clock) -> None:
-        self._sink, self._health, self._now_ns, self._clock = sink, health, now_ns, clock
+    def __init__(
+        self,
+        sink: Sink,
+        health: Health,
+        now_ns: Callable[[], int],
+        *,
+        live: bool,
+        clock: Clock,
+        tell: Callable[[Unfinished], None] = lambda unfinished: None,
+    ) -> None:
+        self._sink, self._health, self._now_ns, self._clock, self._tell = sink, health, now_ns, clock, tell
         self._took_s = 0.0  # for one sample and what followed it, where there is no thread
-        self._part: Part = getattr(sink, "part", Part.OUTPUT)
+        self._failing_ns: int | None = None  # when it was given the first thing of those that fail now
+        self.part: Part = getattr(sink, "part", Part.OUTPUT)
+        self.name: str = getattr(sink, "name", type(sink).__name__)
         self.worker = Worker(type(sink).__name__, clock) if live else None
 
     @property
@@ -90,21 +118,43 @@ class Outlet:
         for answer in self.worker.answers():
             if isinstance(answer.error, InputError):
                 raise answer.error
+            self._note(answer)
             fault = None if answer.error is None else _as_verdict(answer.error)
             late_s = (now_ns - answer.given_ns) / NS_PER_S - answer.took_s
-            self._health.done(self._part, now_ns, answer.took_s, fault, late_s)
+            self._health.done(self.part, now_ns, answer.took_s, fault, late_s, who=self.name)
         if (waiting_ns := self.worker.waiting_ns) is not None:
-            self._health.asked(self._part, waiting_ns, now_ns)
+            self._health.asked(self.part, waiting_ns, now_ns, who=self.name)
 
     def close(self) -> None:
-        """Finish what waits, but for a sink that hangs: it is left to itself."""
-        if self.worker is None or self.worker.close(CLOSE_S):
+        """Finish what waits, but for a sink that hangs: it is left to itself, and that is told."""
+        if self.worker is None:
+            self._sink.close()
+        elif self._ended(self.worker):
             try:
                 self._sink.close()
             except OSError as error:
-                if self.worker is None:
-                    raise
-                self._health.reported(self._part, *_as_verdict(error), self._now_ns())
+                self._health.reported(self.part, *_as_verdict(error), self._now_ns())
+                since_ns = self._now_ns() if self._failing_ns is None else self._failing_ns
+                self._tell(Unfinished(self.name, since_ns, error.strerror or str(error)))
+
+    def _ended(self, worker: Worker) -> bool:
+        """Whether it has done all in time, or before Ctrl-C."""
+        ended = False
+        try:
+            ended = worker.close(CLOSE_S)
+        finally:
+            for answer in worker.answers():
+                self._note(answer)
+            waiting_ns = worker.waiting_ns
+            if not ended and waiting_ns is not None:
+                self._tell(Unfinished(self.name, waiting_ns))
+        return ended
+
+    def _note(self, answer: Answer) -> None:
+        if answer.error is None:
+            self._failing_ns = None
+        elif self._failing_ns is None:
+            self._failing_ns = answer.given_ns
 
     def _conclude(self, solution: Solution) -> None:
         self._sink.solution(solution)
@@ -117,7 +167,7 @@ class Outlet:
             work()
             self._took_s += self._clock() - start_s
             if last:
-                self._health.done(self._part, self._now_ns(), self._took_s)
+                self._health.done(self.part, self._now_ns(), self._took_s, who=self.name)
                 self._took_s = 0.0
             return
         self.worker.give(Job(work, self._now_ns(), picture, last))
@@ -147,19 +197,28 @@ class Watch:
         self._source, self._rig, self._finder = source, rig, finder
         self._outlets: list[Outlet] = []
         self._dropped = 0  # by those that have been released
+        self.unfinished: list[Unfinished] = []  # sinks that lack something in the end
         self._told: tuple[tuple[Condition, ...], int] = (), 0
         self._last: Solution | None = None
         source.health = self.health
         source.idle = self.tell
 
     def outlet(self, sink: Sink) -> Outlet:
-        outlet = Outlet(sink, self.health, lambda: self._source.now_ns, live=self._source.live, clock=self._clock)
+        outlet = Outlet(
+            sink,
+            self.health,
+            lambda: self._source.now_ns,
+            live=self._source.live,
+            clock=self._clock,
+            tell=self.unfinished.append,
+        )
         self._outlets.append(outlet)
         return outlet
 
     def release(self, outlet: Outlet) -> None:
         """Tell it nothing more; closing it is its owner's."""
         self._outlets.remove(outlet)
+        self.health.left(outlet.part, outlet.name)
         self._dropped += outlet.dropped
 
     @property

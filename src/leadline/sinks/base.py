@@ -11,7 +11,9 @@ from leadline.sinks.control import Event
 
 
 class Sink(Protocol):
-    """A sink may say in an attribute ``part`` whose health its own work is; without it, that of the output."""
+    """A sink may say in an attribute ``part`` whose health its own work is; without it, that of the output. And in
+    ``name`` what its user knows it by.
+    """
 
     def sample(self, sample: Sample) -> None:
         """Every sample, before the localizer sees it."""

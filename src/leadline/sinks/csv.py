@@ -24,6 +24,7 @@ class SolutionsCsv:
     part: ClassVar[Part] = Part.DISK
 
     def __init__(self, path: Path | str) -> None:
+        self.name = Path(path).name
         self._spool = Spool(Path(path), keep_bytes=KEPT_BYTES)
         self._write(HEADER)
 

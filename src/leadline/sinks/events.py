@@ -22,7 +22,7 @@ class EventsCsv:
     part: ClassVar[Part] = Part.DISK
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        self._path, self.name = path, path.name
         self._spool: Spool | None = None
 
     def sample(self, sample: Sample) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 from leadline.guidance import Guidance, Guide
 from leadline.health import Condition
@@ -15,6 +16,8 @@ NS_PER_MS = 1_000_000
 
 class MavlinkSink:
     """Each solution as it comes, a heartbeat once a second, an alarm and a failing part in words when they begin."""
+
+    name: ClassVar[str] = "MAVLink"
 
     def __init__(self, link: MavlinkLink, guide: Guide) -> None:
         self._link, self._guide = link, guide

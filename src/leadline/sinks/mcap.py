@@ -35,6 +35,7 @@ class McapSink:
             attachments.append(("rig.yaml", "application/yaml", rig_to_text(rig)))
         if truth:
             attachments.append(("truth.csv", "text/csv", truth_text(truth).encode()))
+        self.name = Path(path).name
         self._writer = RecordingWriter(Path(path), attachments)
         self._camera_infos = None if rig is None else ros2.camera_infos(rig)
         self._arrival_ns = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import ClassVar
 
 from leadline.guidance import Guide
 from leadline.health import Condition
@@ -23,6 +24,8 @@ Draw = Callable[[Image, Sequence[Detection]], Image]
 
 class Ros2Sink:
     """draw: makes the annotated picture, which is sent only while somebody listens. close: lets go of the node."""
+
+    name: ClassVar[str] = "ROS 2"
 
     def __init__(
         self, node: RosNode, rig: Rig, guide: Guide, draw: Draw, close: Callable[[], None] = lambda: None

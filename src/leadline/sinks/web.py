@@ -31,6 +31,7 @@ class WebSink:
     """``Sink``, ``HealthSink`` and ``EventSink``; as ``Shown`` it is asked by the server's thread."""
 
     page = "index.html"
+    name = "the live page"
 
     def __init__(
         self, name: str, rig: Rig, target: Target, guide: Guide, control: Control, truth: Sequence[Truth] = ()
