@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from leadline.samples import LaserRange, Solution, Stage, Status, VehicleMotion
 from leadline.sinks.mavlink import MavlinkSink
 from leadline.sources.clock import LiveClock
 from leadline.sources.mavlink import MavlinkMotion, Mount
-from leadline.wire.mavlink import MavlinkLink, MotionReader
+from leadline.wire.mavlink import MavlinkLink, MotionReader, heartbeat
 from leadline.wire.mavlink_frames import BootClock, camera_motion, frd, ned_to_frd, orientation
 
 RIG = Rig.load("rendered")
@@ -220,6 +221,48 @@ def test_motion_comes_over_the_link_and_garbage_does_not_matter() -> None:
 def test_an_address_that_is_none(url: str) -> None:
     with pytest.raises(InputError, match="MAVLink"):
         MavlinkLink(url)
+
+
+@pytest.mark.parametrize(
+    ("url", "told"),
+    [
+        ("udpout:127.0.0.1:99999", "udpout:127.0.0.1:99999: there is no port 99999; give one up to 65535"),
+        ("udpout:udp.invalid:14550", "no host of the name udp.invalid is known"),
+        ("udpout:.a..:14550", "no host of the name .a.. is known"),
+    ],
+)
+def test_an_address_that_nobody_has_is_one_line_before_anything_is_written(
+    url: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from leadline.cli import main  # noqa: PLC0415
+
+    (tmp_path / "tiny.yaml").write_text(TINY)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "solutions.csv").write_text("of an earlier run")
+    arguments = ["--target", "plane", "--out", str(tmp_path / "run"), "--mavlink", url]
+    assert main(["run", f"sim:{tmp_path / 'tiny.yaml'}", *arguments]) == 2
+    complaint = capsys.readouterr().err
+    assert told in complaint
+    assert complaint.count("\n") == 1
+    assert [path.name for path in (tmp_path / "run").iterdir()] == ["solutions.csv"]
+    assert (tmp_path / "run" / "solutions.csv").read_text() == "of an earlier run"
+
+
+def test_a_host_is_looked_up_once(ear, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+
+    def known(host: str) -> str:
+        asked.append(host)
+        return "127.0.0.1"
+
+    monkeypatch.setattr(socket, "gethostbyname", known)
+    link = MavlinkLink(ear.url.replace("127.0.0.1", "udp"))  # a name that is also part of the way
+    link.open()
+    for _ in range(5):
+        link.send(heartbeat())
+    link.close()
+    assert asked.count("udp") == 1
+    assert len(ear.all("HEARTBEAT")) == 5
 
 
 def test_a_run_tells_the_autopilot_and_takes_what_it_says(tmp_path, ear) -> None:

@@ -7,6 +7,7 @@ NAMED_VALUE_FLOAT what those have no field for. In: ATTITUDE and LOCAL_POSITION_
 from __future__ import annotations
 
 import re
+import socket
 from collections.abc import Iterable
 from typing import Any
 
@@ -26,7 +27,10 @@ ALERT, NOTICE = 1, 5  # MAV_SEVERITY
 NEAREST_CM, FARTHEST_CM = 10, 600
 UNKNOWN_VARIANCE = 255
 STALE_NS = 500_000_000  # an older velocity is no velocity
-ADDRESS = re.compile(r"(?P<name>(udpout|udpin|tcp|tcpin):[^:?]+:\d{1,5}|(/dev/|COM)[^?]+)(\?baud=(?P<baud>\d+))?")
+LAST_PORT = 65535
+ADDRESS = re.compile(
+    r"(?P<name>(?P<way>udpout|udpin|tcp|tcpin):(?P<host>[^:?]+):(?P<port>\d{1,5})|(/dev/|COM)[^?]+)(\?baud=(?P<baud>\d+))?"
+)
 
 
 def _dialect() -> Any:
@@ -53,16 +57,29 @@ class MavlinkLink:
         found = ADDRESS.fullmatch(url)
         if found is None:
             raise InputError("not a MAVLink address", url, "give udpout:HOST:PORT or /dev/ttyACM0?baud=115200")
+        if found["port"] is not None and int(found["port"]) > LAST_PORT:
+            raise InputError(f"there is no port {found['port']}", url, f"give one up to {LAST_PORT}")
         self.url, self._name, self._baud = url, found["name"], int(found["baud"] or 115200)
+        self._place = None if found["host"] is None else (found["way"], found["host"], found["port"])
         self._codec = _dialect().MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
         self._parser = _parser()
         self._port: Any = None
 
     def open(self) -> None:
-        """OSError where it cannot be opened."""
+        """OSError where it cannot be opened, or its host is not known."""
         from pymavlink import mavutil  # noqa: PLC0415
 
-        self._port = mavutil.mavlink_connection(self._name, baud=self._baud, source_system=SYSTEM, retries=1)
+        self._port = mavutil.mavlink_connection(self._resolved(), baud=self._baud, source_system=SYSTEM, retries=1)
+
+    def _resolved(self) -> str:
+        """The host is looked up here and once: pymavlink does it at each message while that fails, for seconds each."""
+        if self._place is None:
+            return self._name
+        way, host, port = self._place
+        try:
+            return f"{way}:{socket.gethostbyname(host)}:{port}"
+        except (OSError, UnicodeError) as error:
+            raise OSError(f"no host of the name {host} is known") from error
 
     def send(self, messages: Iterable[Any]) -> None:
         for message in messages:
