@@ -12,6 +12,7 @@ from leadline.geometry.pose import Pose
 from leadline.guidance import FORWARD_LOOKING, Guide
 from leadline.rig import Rig
 from leadline.samples import Solution, Stage, Status
+from leadline.wire.ros2_results import guidance_text
 
 RIG = Rig.load("rendered")
 
@@ -58,6 +59,13 @@ def test_closing_speed_and_time_to_the_stand_off() -> None:
     assert (leaving.closing_m_s, leaving.standoff_s) == (pytest.approx(-0.1), None)
     assert aside.closing_m_s == pytest.approx(0.0)
     assert inside.standoff_s == 0.0
+
+
+def test_a_closing_speed_that_nobody_knows_is_not_nought() -> None:
+    told = Guide(RIG).of(dataclasses.replace(solution(), velocity_m_s=None))
+    assert told is not None
+    assert (told.closing_m_s, told.standoff_s) == (None, None)
+    assert '"closing_m_s": null' in guidance_text(solution(), told)["data"]
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import socket
 from pathlib import Path
 
@@ -109,6 +110,13 @@ def test_a_solution_in_forward_right_down(ear, sink) -> None:
     assert (value["LL_ALARM"], value["LL_REACH"], value["LL_ACCUR"]) == (0.0, 0.0, 1.0)
     assert value["LL_RANGE"] == pytest.approx(0.98)
     assert value["LL_SIGMA"] == pytest.approx(0.01)
+
+
+def test_a_closing_speed_that_nobody_knows_is_nan(ear, sink) -> None:
+    sink.solution(dataclasses.replace(solution(), velocity_m_s=None))
+    heard = ear.hear(10)
+    value = {name.split()[1]: m.value for name, m in heard.items() if name.startswith("NAMED_VALUE_FLOAT")}
+    assert np.isnan([value["LL_CLOSING"], value["LL_T_STOP"]]).all()
 
 
 def test_what_is_not_valid_is_said_not_to_be(ear, sink) -> None:

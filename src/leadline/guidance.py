@@ -25,7 +25,8 @@ class Guidance:
 
     p_body_m (3,), cov_body_m2 (3, 3): the target in the vehicle's frame. bearing_rad: turn by this to face it, to port
     positive; elevation_rad: upwards positive. range_m: camera to the nearest surface. closing_m_s: how fast that
-    shrinks. standoff_s: until the stand-off at this speed; 0 inside it, None if it is never reached so. alarm: nearer
+    shrinks, None where nobody knows. standoff_s: until the stand-off at this speed; 0 inside it, None if it is never
+    reached so. alarm: nearer
     than the safety distance, or perhaps so. in_reach: certainly within the manipulator's reach. accurate: as well known
     as is needed.
     """
@@ -38,7 +39,7 @@ class Guidance:
     elevation_rad: float
     range_m: float
     range_sigma_m: float
-    closing_m_s: float
+    closing_m_s: float | None
     standoff_s: float | None
     alarm: bool
     in_reach: bool
@@ -84,18 +85,18 @@ class Guide:
         )
 
 
-def _closing(solution: Solution) -> float:
+def _closing(solution: Solution) -> float | None:
     """Minus the range's rate: for every shape the nearest point lies on the line to the position."""
     if solution.velocity_m_s is None or solution.position_m is None:
-        return 0.0
+        return None
     distance_m = float(np.linalg.norm(solution.position_m))
     return -float(solution.position_m @ solution.velocity_m_s) / distance_m if distance_m > 0 else 0.0
 
 
-def _until(left_m: float, closing_m_s: float) -> float | None:
+def _until(left_m: float, closing_m_s: float | None) -> float | None:
     if left_m <= 0:
         return 0.0
-    return left_m / closing_m_s if closing_m_s > LEAST_CLOSING_M_S else None
+    return None if closing_m_s is None or closing_m_s <= LEAST_CLOSING_M_S else left_m / closing_m_s
 
 
 def _is_identity(pose: Pose) -> bool:

@@ -31,6 +31,7 @@ export function turn(degrees, positive, negative) {
 }
 
 export function closing(value) {
+  if (value == null) return "–";
   if (Math.abs(value) < 0.005) return "holding";
   return `${value < 0 ? "−" : ""}${Math.abs(value).toFixed(2)} m/s`;
 }

@@ -137,13 +137,16 @@ def _values(guidance: Guidance, boot_ms: int) -> list[Any]:
         "LL_SIGMA": guidance.range_sigma_m,
         "LL_BEARING": -guidance.bearing_rad,  # to starboard positive, as MAVLink's yaw
         "LL_CLOSING": guidance.closing_m_s,
-        "LL_T_STOP": np.nan if guidance.standoff_s is None else guidance.standoff_s,
+        "LL_T_STOP": guidance.standoff_s,
         "LL_ALARM": float(guidance.alarm),
         "LL_REACH": float(guidance.in_reach),
         "LL_ACCUR": float(guidance.accurate),
     }
     m = _dialect()
-    return [m.MAVLink_named_value_float_message(boot_ms, name.encode(), float(value)) for name, value in values.items()]
+    return [
+        m.MAVLink_named_value_float_message(boot_ms, name.encode(), np.nan if value is None else float(value))
+        for name, value in values.items()
+    ]
 
 
 class MotionReader:
