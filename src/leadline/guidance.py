@@ -26,9 +26,8 @@ class Guidance:
     p_body_m (3,), cov_body_m2 (3, 3): the target in the vehicle's frame. bearing_rad: turn by this to face it, to port
     positive; elevation_rad: upwards positive. range_m: camera to the nearest surface. closing_m_s: how fast that
     shrinks, None where nobody knows. standoff_s: until the stand-off at this speed; 0 inside it, None if it is never
-    reached so. alarm: nearer
-    than the safety distance, or perhaps so. in_reach: certainly within the manipulator's reach. accurate: as well known
-    as is needed.
+    reached so. alarm: nearer than the safety distance, or perhaps so. in_reach: certainly within the manipulator's
+    reach. accurate: as well known as is needed.
     """
 
     t_ns: int
