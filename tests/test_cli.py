@@ -401,6 +401,7 @@ WITHIN_A_FILE = "boxes.json/x"
         ["detect", "dive", "--out", "boxes.json"],
         ["dataset", "dive", "--out", WITHIN_A_FILE],
         ["recover", "run/dive.mcap", "--out", f"{WITHIN_A_FILE}/whole.mcap"],
+        ["recover", "run/dive.mcap", "--out", f"boxes.json{'x' * 238}.mcap"],
         ["run", "dive", "--out", WITHIN_A_FILE, "--boxes", "boxes.json"],
         ["board", "--out", f"{WITHIN_A_FILE}/board.pdf"],
         ["capture", "dive", "--target", "--out", WITHIN_A_FILE],

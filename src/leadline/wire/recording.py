@@ -298,8 +298,9 @@ def recover(path: Path, out: Path) -> Recovery:
     reader = RecordingReader(path, damage.append)
     make_folder(out.parent)
     part = out.with_name(out.name + ".part")
+    opened = _opened(part)
     try:
-        with part.open("wb") as stream:
+        with opened as stream:
             recovery = _copy(reader, PlainWriter(stream, compression=CompressionType.NONE), damage)
             stream.flush()
             os.fsync(stream.fileno())
@@ -314,6 +315,13 @@ def recover(path: Path, out: Path) -> Recovery:
     finally:
         part.unlink(missing_ok=True)
     return recovery
+
+
+def _opened(part: Path) -> BinaryIO:
+    try:
+        return part.open("wb")
+    except OSError as error:
+        raise InputError(f"cannot be written ({error.strerror})", str(part), "give another name with --out") from error
 
 
 def _copy(reader: RecordingReader, writer: PlainWriter, damage: list[str]) -> Recovery:
