@@ -90,12 +90,12 @@ def test_saving_is_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.Monke
     Rig.load("paper").save(path)
     before = path.read_text()
 
-    def full_disk(self: Path, text: str, **_: Any) -> int:
-        with self.open("w") as file:
-            file.write(text[:100])
+    def full_disk(self: Path, data: bytes) -> int:
+        with self.open("wb") as file:
+            file.write(data[:100])
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_text", full_disk)
+    monkeypatch.setattr(Path, "write_bytes", full_disk)
     with pytest.raises(InputError, match="No space left"):
         Rig.load("rendered").save(path)
     assert path.read_text() == before
